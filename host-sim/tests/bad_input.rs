@@ -1,6 +1,6 @@
 //! Messages about unusable input, a terminal that hangs up, and a board that dies: one line, no panic, nothing half written.
 
-use crate::program::{command, directory, failure, still, succeeds, write};
+use crate::program::{command, directory, failure, soon, still, succeeds, write};
 use foretorque_workbench::board::qemu::Image;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -8,7 +8,6 @@ use std::fs;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
 
 /// All files below a directory, with their content.
 fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
@@ -141,16 +140,12 @@ fn a_terminal_that_hangs_up_is_no_failure() {
 
 /// The finding of `look` within a minute, while `child` runs.
 fn awaited<T>(child: &mut Child, what: &str, look: impl Fn(&Child) -> Option<T>) -> T {
-    let deadline = Instant::now() + Duration::from_secs(60);
-    loop {
-        if let Some(found) = look(child) {
-            return found;
-        }
-        assert!(Instant::now() < deadline, "{what}");
-        let status = child.try_wait().expect("it is ours");
-        assert!(status.is_none(), "it ended early");
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    soon(what, || {
+        let found = look(child);
+        let ended = found.is_none() && child.try_wait().expect("it is ours").is_some();
+        assert!(!ended, "it ended early");
+        found
+    })
 }
 
 #[test]

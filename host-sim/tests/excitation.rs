@@ -1,6 +1,6 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, and its certificate is true.
 
-use crate::program::{directory, fails, succeeds, text, write};
+use crate::program::{directory, refused, succeeds, text, write};
 use foretorque_studies::excitation::recount;
 use foretorque_workbench::excitation::{
     Certificate, Criterion, Excitation, SearchConfig, optimise,
@@ -138,8 +138,7 @@ fn what_no_excitation_can_keep_ends_with_one_line() {
         ("ur5 --period-s 0.3 --condition-limit 60", badly_conditioned),
     ] {
         let search = "excite --starts 1 --iterations 8 --out x --robot";
-        let line = fails(&directory, &format!("{search} {arguments}"));
-        assert!(line.contains(message), "{arguments}: {line}");
+        refused(&directory, &format!("{search} {arguments}"), message);
         assert!(!directory.join("x").exists(), "{arguments} leaves files");
     }
 }

@@ -1,6 +1,6 @@
 //! However the program ends, no emulator outlives it, and no report is left half written.
 
-use crate::program::{directory, write};
+use crate::program::{directory, soon, write};
 use foretorque_workbench::excitation::{Excitation, QuickConfig};
 use foretorque_workbench::robot::Robot;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
@@ -9,9 +9,6 @@ use std::fs;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
-
-const PATIENCE: Duration = Duration::from_secs(20);
 
 /// State and parent of a process; `None` when there is no such process.
 fn status(id: i32) -> Option<(char, i32)> {
@@ -32,17 +29,6 @@ fn child_of(parent: i32) -> Option<i32> {
     let ids = processes.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
     ids.into_iter()
         .find(|&id| status(id).is_some_and(|(_, of)| of == parent))
-}
-
-fn soon<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let deadline = Instant::now() + PATIENCE;
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(Instant::now() < deadline, "{what}");
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 /// Ends the emulator of a test that failed, which nothing else would.

@@ -1,6 +1,6 @@
 //! Studies over ranges of seeds: concatenated records make the whole report; figures of the paper's experiment.
 
-use crate::program::{directory, fails, number, succeeds, text, write};
+use crate::program::{directory, fails, number, refused, succeeds, text, write};
 use std::path::Path;
 
 /// Runs `study` over seeds 3 and 4 at once, and in two jobs whose records are concatenated in the wrong order.
@@ -94,8 +94,11 @@ fn the_excitation_campaign_is_whole_in_one_run_and_in_jobs() {
         ("paper --excitation nowhere.json", "nowhere.json"),
         ("paper --snapshot nowhere.txt", "nowhere.txt"),
     ] {
-        let stderr = fails(&directory, &format!("experiment {arguments} --out x"));
-        assert!(stderr.contains(message), "{stderr}");
+        refused(
+            &directory,
+            &format!("experiment {arguments} --out x"),
+            message,
+        );
     }
     assert!(!directory.join("x").exists());
 }

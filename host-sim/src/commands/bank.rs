@@ -11,6 +11,7 @@ use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::robot::Robot;
+use foretorque_workbench::snapshot::aligned;
 use std::fs;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -105,29 +106,18 @@ impl Arguments {
 
 /// Prints what has changed from the stored bank to the live one.
 fn differences(live: &ParameterBank, stored: &ParameterBank) -> Result<(), Failure> {
-    show!(
-        "{:<8} {:>14} {:>14} {:>14}",
-        "column",
-        "stored (SI)",
-        "live",
-        "change"
-    )?;
-    for column in &live.columns {
+    let rows = live.columns.iter().map(|column| {
         // Columns that a bank does not have are zero.
         let before = stored.column(column.id).map_or(0.0, |column| column.value);
-        show!(
-            "{:<8} {:>14.6} {:>14.6} {:>14.6}",
-            column.id.to_string(),
-            before,
-            column.value,
-            column.value - before
-        )?;
-    }
+        let change = column.value - before;
+        let figures = [before, column.value, change].map(|figure| format!("{figure:.6}"));
+        std::iter::once(column.id.to_string()).chain(figures)
+    });
+    show!("{}", aligned("column | stored (SI) | live | change", rows))?;
     let pairs = live.weights.iter().zip(&stored.weights);
     let changes = pairs.map(|(live, stored)| f64::from(live - stored).powi(2));
     let rms = (changes.sum::<f64>() / live.weights.len().max(1) as f64).sqrt();
-    show!("\nweights   changed by {rms:.6} RMS")?;
-    Ok(())
+    show!("weights   changed by {rms:.6} RMS")
 }
 
 fn print(bank: &ParameterBank) -> Result<(), Failure> {
@@ -149,34 +139,19 @@ fn print(bank: &ParameterBank) -> Result<(), Failure> {
             Err(error) => format!("no: {error}"),
         }
     )?;
-    show!("\n{:<8} {:>14} {:>14}", "column", "value (SI)", "deviation")?;
-    for column in &bank.columns {
-        show!(
-            "{:<8} {:>14.6} {:>14.6}",
-            column.id.to_string(),
-            column.value,
-            column.deviation
-        )?;
-    }
-    show!(
-        "\n{:<8} {:>10} {:>12} {:>14} {:>12}",
-        "joint",
-        "limit N·m",
-        "slew N·m/s",
-        "network share",
-        "gain N·m/A"
-    )?;
-    for (joint, (limits, gain)) in bank.limits.iter().zip(&bank.drive_gains_nm_a).enumerate() {
-        show!(
-            "{:<8} {:>10} {:>12} {:>14} {:>12}",
-            joint + 1,
-            limits.torque_nm,
-            limits.slew_nm_s,
-            limits.network_share,
-            gain
-        )?;
-    }
-    Ok(())
+    let columns = bank.columns.iter().map(|column| {
+        let figures = [column.value, column.deviation].map(|figure| format!("{figure:.6}"));
+        std::iter::once(column.id.to_string()).chain(figures)
+    });
+    show!("\n{}", aligned("column | value (SI) | deviation", columns))?;
+    let joints = (1..).zip(bank.limits.iter().zip(&bank.drive_gains_nm_a));
+    let joints = joints.map(|(joint, (limits, gain))| {
+        let limits = [limits.torque_nm, limits.slew_nm_s, limits.network_share];
+        let figures = limits.iter().chain([gain]).map(f32::to_string);
+        std::iter::once(joint.to_string()).chain(figures.collect::<Vec<_>>())
+    });
+    let header = "joint | limit N·m | slew N·m/s | network share | gain N·m/A";
+    show!("{}", aligned(header, joints).trim_end())
 }
 
 /// Whether the bank fits its arm, where that is built in.

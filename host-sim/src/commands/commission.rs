@@ -14,8 +14,8 @@ use foretorque_workbench::bus::{
     BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
-use foretorque_workbench::files::write_whole;
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
+use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use std::path::PathBuf;
 
@@ -81,15 +81,8 @@ const PERIODS: f64 = 3.0;
 impl StepName {
     /// The step on the arm; none where another command does it.
     fn on_arm(self) -> Option<Step> {
-        Some(match self {
-            Self::Find => Step::Find,
-            Self::Turn => Step::Turn,
-            Self::Zero => Step::Zero,
-            Self::Torque => Step::Torque,
-            Self::Friction => Step::Friction,
-            Self::Weight => Step::Weight,
-            Self::Excite | Self::Drive | Self::Identify => return None,
-        })
+        // The steps on the arm come first, in the same order.
+        Step::ALL.get(self as usize).copied()
     }
 }
 
@@ -264,8 +257,7 @@ impl Arguments {
             }
             show!("{name:?}: passed")?;
         }
-        let text = serde_json::to_string_pretty(&arm.found.as_slice())? + "\n";
-        write_whole(&file, text.as_bytes())?;
+        write_json(&file, &arm.found.as_slice())?;
         Ok(outcome?)
     }
 }

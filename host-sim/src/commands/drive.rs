@@ -18,6 +18,7 @@ use foretorque_workbench::closed_loop::{TickRecord, motion_f32};
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::plant::{Measurement, Plant};
+use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::table::joint_columns;
 use foretorque_workbench::trajectory::via::ViaPath;
@@ -354,8 +355,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             foreign_frames: controller.strays(),
             ended: played.ended.clone(),
         };
-        let text = serde_json::to_string_pretty(&summary)?;
-        write_whole(&out.join("drive.json"), (text + "\n").as_bytes())?;
+        write_json(&out.join("drive.json"), &summary)?;
         if let Some(reason) = played.ended {
             return Err(unusable(reason));
         }

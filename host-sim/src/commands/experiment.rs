@@ -3,7 +3,7 @@
 use super::boards::BoardChoice;
 use super::terminal::Bar;
 use super::terminal::show;
-use super::{Failure, excite, unusable};
+use super::{Failure, Snapshot, excite, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
@@ -17,10 +17,9 @@ use foretorque_studies::paper::{self, PaperConfig};
 use foretorque_studies::records::Records;
 use foretorque_studies::{Outcome, Progress, StudyError};
 use foretorque_studies::{efficiency, real_ur5, replay};
-use foretorque_workbench::board::{BoardError, Client};
+use foretorque_workbench::board::BoardError;
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::Robot;
-use foretorque_workbench::snapshot;
 use serde::Serialize;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -60,25 +59,6 @@ struct Out {
     out: PathBuf,
     #[command(flatten)]
     snapshot: Snapshot,
-}
-
-/// A snapshot of the figures.
-#[derive(Debug, Args)]
-pub(super) struct Snapshot {
-    /// Compare the figures with this file, and fail where one differs
-    #[arg(long = "snapshot", value_name = "FILE")]
-    file: Option<PathBuf>,
-    /// Write the figures to that file instead
-    #[arg(long, requires = "file")]
-    accept: bool,
-}
-
-/// The board that native runs are compared with.
-#[derive(Debug, Args)]
-struct Beside {
-    /// Board that a part is compared with bit for bit: qemu, or native for none
-    #[arg(long, default_value = "qemu")]
-    board: BoardChoice,
 }
 
 /// A study of independent jobs, over a range of seeds.
@@ -216,8 +196,9 @@ struct OfLogs {
 struct Soak {
     #[command(flatten)]
     out: Out,
-    #[command(flatten)]
-    beside: Beside,
+    /// Board that a part is compared with bit for bit: qemu, or native for none
+    #[arg(long, default_value = "qemu")]
+    board: BoardChoice,
     /// Seed of plant, prior, paths and noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -239,11 +220,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             Ok(Some(outcome))
         }),
         Some(Study::Excitation(own)) => {
-            let make = match own.jobs.quick {
-                true => ExcitationConfig::quick,
-                false => ExcitationConfig::full,
-            };
-            let config = make(&own.robot, own.jobs.seed, own.seeds);
+            let (quick, seed) = (own.jobs.quick, own.jobs.seed);
+            let config = ExcitationConfig::new(quick, &own.robot, seed, own.seeds);
             own.jobs
                 .study(|records, _, progress| excitation::run(config, records, progress))
         }
@@ -301,28 +279,6 @@ fn study<R: Serialize>(
     snapshot.keep(&outcome.text)
 }
 
-impl Snapshot {
-    /// Errors: a snapshot to compare with that cannot be read.
-    pub(super) fn check(&self) -> Result<(), Failure> {
-        match &self.file {
-            Some(file) if !self.accept => {
-                std::fs::read(file)
-                    .map_err(|error| foretorque_workbench::files::at(file, error))?;
-                Ok(())
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Errors: figures that differ.
-    pub(super) fn keep(&self, text: &str) -> Result<(), Failure> {
-        match &self.file {
-            Some(file) => Ok(snapshot::keep(file, text, self.accept)?),
-            None => Ok(()),
-        }
-    }
-}
-
 impl Jobs {
     fn study<R: Serialize>(
         &self,
@@ -341,28 +297,6 @@ impl Jobs {
         study(&out, &self.snapshot, |progress| {
             Ok(work(&records, &out, progress)?)
         })
-    }
-}
-
-impl Beside {
-    /// Its client; none if it would be the native one.
-    ///
-    /// Errors: of the board, also that it does not take a bank of this program.
-    fn connect(&self) -> Result<Option<Client<JOINTS>>, Failure> {
-        if self.board == BoardChoice::Native {
-            return Ok(None);
-        }
-        let mut board = self.board.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
-        let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
-        let bank = ParameterBank::from_set::<Ur5, JOINTS, PARAMETERS>(&set);
-        match board.upload_bank(&bank) {
-            Err(BoardError::Refused(reason)) => Err(unusable(format!(
-                "board {} does not take this program's bank ({reason}): its firmware is of another source, build it \
-                 with `cargo firmware`",
-                self.board
-            ))),
-            taken => Ok(taken.map(|()| Some(board))?),
-        }
     }
 }
 
@@ -417,10 +351,7 @@ fn run_learning(arguments: &Learning) -> Result<(), Failure> {
 
 fn run_paper(arguments: &Paper) -> Result<(), Failure> {
     let jobs = &arguments.jobs;
-    let mut config = match jobs.quick {
-        true => PaperConfig::quick(jobs.seed, arguments.seeds)?,
-        false => PaperConfig::full(jobs.seed, arguments.seeds)?,
-    };
+    let mut config = PaperConfig::new(jobs.quick, jobs.seed, arguments.seeds)?;
     if let Some(path) = &arguments.excitation {
         config.excitation = excite::read(path, &Robot::load("ur5")?)?;
     }
@@ -433,8 +364,21 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
         ticks: arguments.ticks.get(),
         board_ticks: arguments.board_ticks.get(),
     };
+    let choice = &arguments.board;
     arguments.out.study(|progress| {
-        let mut board = arguments.beside.connect()?;
-        Ok(Some(soak::run(&config, board.as_mut(), progress)?))
+        if *choice == BoardChoice::Native {
+            return Ok(Some(soak::run(&config, None, progress)?));
+        }
+        let mut board = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
+        let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
+        let bank = ParameterBank::from_set::<Ur5, JOINTS, PARAMETERS>(&set);
+        board.upload_bank(&bank).map_err(|error| match error {
+            BoardError::Refused(reason) => unusable(format!(
+                "board {choice} does not take this program's bank ({reason}): its firmware is of another source, build \
+                 it with `cargo firmware`"
+            )),
+            other => other.into(),
+        })?;
+        Ok(Some(soak::run(&config, Some(&mut board), progress)?))
     })
 }

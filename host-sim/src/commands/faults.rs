@@ -1,10 +1,10 @@
-use super::experiment::Snapshot;
+use super::Snapshot;
 use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, unusable};
 use clap::Args;
 use foretorque_studies::faults::{self, Campaign, Lengths, scenarios};
-use foretorque_workbench::files::write_whole;
+use foretorque_workbench::report::write_json;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -42,7 +42,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         campaigns: Vec::new(),
     };
     // A place that cannot be written or compared is refused before the work.
-    write(arguments, &report)?;
+    write_json(&arguments.out, &report)?;
     arguments.snapshot.check()?;
     let scratch = std::env::temp_dir().join(format!("foretorque-faults-{}", std::process::id()));
     std::fs::create_dir_all(&scratch)?;
@@ -58,7 +58,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         let seconds = start.elapsed().as_secs_f64();
         show!("{} {seconds:>7.1}", faults::row(&campaign))?;
         report.campaigns.push(campaign);
-        write(arguments, &report)?;
+        write_json(&arguments.out, &report)?;
     }
     drop(bar);
     std::fs::remove_dir_all(&scratch)?;
@@ -85,9 +85,4 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     arguments
         .snapshot
         .keep(&faults::text(arguments.seed, &report.campaigns))
-}
-
-fn write(arguments: &Arguments, report: &Report) -> Result<(), Failure> {
-    let json = serde_json::to_string_pretty(report)? + "\n";
-    Ok(write_whole(&arguments.out, json.as_bytes())?)
 }

@@ -31,9 +31,10 @@ use terminal::show;
 pub(crate) use terminal::show_failure;
 
 use clap::error::ErrorKind;
-use clap::{Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
+use foretorque_workbench::snapshot;
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Whatever stopped a command, as one line.
 pub(crate) type Failure = Box<dyn Error>;
@@ -105,6 +106,39 @@ fn not_over(input: &Path, out: &Path) -> Result<(), Failure> {
         return Err(unusable(format!("--out {name} is the file that is read")));
     }
     Ok(())
+}
+
+/// A snapshot of the figures.
+#[derive(Debug, Args)]
+struct Snapshot {
+    /// Compare the figures with this file, and fail where one differs
+    #[arg(long = "snapshot", value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// Write the figures to that file instead
+    #[arg(long, requires = "file")]
+    accept: bool,
+}
+
+impl Snapshot {
+    /// Errors: a snapshot to compare with that cannot be read.
+    fn check(&self) -> Result<(), Failure> {
+        match &self.file {
+            Some(file) if !self.accept => {
+                std::fs::read(file)
+                    .map_err(|error| foretorque_workbench::files::at(file, error))?;
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Errors: figures that differ.
+    fn keep(&self, text: &str) -> Result<(), Failure> {
+        match &self.file {
+            Some(file) => Ok(snapshot::keep(file, text, self.accept)?),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Simulator and workbench of foretorque: torque feed-forward that learns on the microcontroller.

@@ -97,14 +97,8 @@ pub fn run(
     let excited = |t_s: f64| series.at::<JOINTS>(t_s);
     let figures = |prepare: PrepareConfig, methods: &[MethodName]| {
         let config = IdentifyConfig {
-            test: Vec::new(),
-            methods: methods.to_vec(),
-            columns: ColumnSet::plain(),
-            prepare,
-            gains_from_standstill: false,
-            fold_period_s: None,
-            seed,
             truth: Some(truth.clone()),
+            ..IdentifyConfig::new(methods.to_vec(), ColumnSet::plain(), prepare, seed)
         };
         let logs = (vec![log.clone()], vec![validate.clone()]);
         let outcome = identify(&robot, &logs.0, &logs.1, &config, &|_| ())?;

@@ -15,6 +15,7 @@ pub mod records;
 pub mod replay;
 
 use foretorque::learning::ConfigError;
+use foretorque_link::bank::BankError;
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::excitation::ExcitationError;
 use foretorque_workbench::identification::IdentifyError;
@@ -75,6 +76,12 @@ pub enum StudyError {
     /// A log that cannot be read.
     #[error(transparent)]
     Table(#[from] TableError),
+}
+
+impl From<BankError> for StudyError {
+    fn from(error: BankError) -> Self {
+        Self::Board(BoardError::Bank(error))
+    }
 }
 
 impl From<PlotError> for StudyError {

@@ -98,16 +98,7 @@ pub fn run(
             .flat_map(|(_, files)| files.iter().map(place))
             .collect();
         let rmse = |method: MethodName, columns: ColumnSet| {
-            let config = IdentifyConfig {
-                methods: vec![method],
-                columns,
-                prepare: PREPARE,
-                fold_period_s: None,
-                gains_from_standstill: false,
-                seed,
-                truth: None,
-                test: Vec::new(),
-            };
+            let config = IdentifyConfig::new(vec![method], columns, PREPARE, seed);
             let outcome = identify(&robot, &training, &held_out, &config, &|_| ())?;
             let records = outcome.report.methods[&method.to_string()]
                 .validation

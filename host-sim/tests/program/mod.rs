@@ -10,7 +10,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// An empty directory for one test.
 pub(crate) fn directory(name: &str) -> PathBuf {
@@ -47,6 +47,12 @@ pub(crate) fn fails(directory: &Path, arguments: &str) -> String {
     failure(arguments, &host_sim(directory, arguments))
 }
 
+/// Fails in one line that has `words` in it.
+pub(crate) fn refused(directory: &Path, arguments: &str, words: impl AsRef<str>) {
+    let line = fails(directory, arguments);
+    assert!(line.contains(words.as_ref()), "`{arguments}` wrote {line}");
+}
+
 /// The one line of a run that failed.
 pub(crate) fn failure(arguments: &str, output: &Output) -> String {
     let stderr = String::from_utf8(output.stderr.clone()).expect("UTF-8");
@@ -66,6 +72,18 @@ pub(crate) fn files(directory: &Path) -> Vec<String> {
     let mut names: Vec<_> = names.map(|name| name.to_string_lossy().into()).collect();
     names.sort();
     names
+}
+
+/// The finding of `look` within a minute.
+pub(crate) fn soon<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "{what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }
 
 /// Content of a text file.

@@ -110,12 +110,6 @@ impl<const N: usize> TrackingError<N> {
         self.count += 1.0;
     }
 
-    /// Adds the ticks of another one.
-    pub fn merge(&mut self, other: &Self) {
-        self.sum += other.sum;
-        self.count += other.count;
-    }
-
     /// RMS over time of every joint, mrad.
     pub fn rms_mrad(&self) -> Vec<f64> {
         let sums = self.sum.iter();

@@ -16,23 +16,58 @@ pub struct Selection {
     pub every: u16,
 }
 
-/// The names of the fields on the command line.
-const NAMES: [(&str, Field); Field::ALL.len()] = [
-    ("state", Field::State),
-    ("total", Field::Total),
-    ("rigid", Field::Rigid),
-    ("friction", Field::Friction),
-    ("network", Field::Network),
-    ("desired-q", Field::DesiredPosition),
-    ("desired-qd", Field::DesiredVelocity),
-    ("q", Field::MeasuredPosition),
-    ("tau", Field::MeasuredTorque),
-    ("residual", Field::Residual),
-    ("quality", Field::Quality),
-    ("decision", Field::Decision),
-    ("cost", Field::Cost),
-    ("loss", Field::Loss),
-    ("temperature", Field::Temperature),
+/// Columns of a field.
+enum Columns {
+    /// One for each joint, in this unit.
+    Joints(&'static str),
+    /// Those of the board as a whole.
+    Board(&'static [&'static str]),
+}
+use Columns::{Board, Joints};
+
+/// The fields with their names on the command line, in the order of a record.
+const FIELDS: [(&str, Field, Columns); Field::ALL.len()] = [
+    (
+        "state",
+        Field::State,
+        Board(&["flags", "safety_state", "safety_reason"]),
+    ),
+    ("total", Field::Total, Joints("nm")),
+    ("rigid", Field::Rigid, Joints("nm")),
+    ("friction", Field::Friction, Joints("nm")),
+    ("network", Field::Network, Joints("nm")),
+    ("desired-q", Field::DesiredPosition, Joints("rad")),
+    ("desired-qd", Field::DesiredVelocity, Joints("rad_s")),
+    ("q", Field::MeasuredPosition, Joints("rad")),
+    ("tau", Field::MeasuredTorque, Joints("nm")),
+    ("residual", Field::Residual, Joints("of_limit")),
+    (
+        "quality",
+        Field::Quality,
+        Board(&["trust", "information", "payload_kg", "guard_phase"]),
+    ),
+    (
+        "decision",
+        Field::Decision,
+        Board(&[
+            "decisions",
+            "decision_reason",
+            "decision_joint",
+            "decision_figure",
+        ]),
+    ),
+    ("cost", Field::Cost, Board(&["tick_counts", "learn_counts"])),
+    (
+        "loss",
+        Field::Loss,
+        Board(&[
+            "frames_missed",
+            "frames_refused",
+            "replies_lost",
+            "overruns",
+        ]),
+    ),
+    ("temperature", Field::Temperature, Joints("c")),
 ];
 
 impl FromStr for Selection {
@@ -48,11 +83,11 @@ impl FromStr for Selection {
             .ok_or_else(|| format!("'{every}' is no number of ticks from 1 to 65535"))?;
         let mut fields = 0;
         for name in list.split(',') {
-            fields |= match NAMES.iter().find(|(known, _)| *known == name) {
-                Some((_, field)) => field.bit(),
-                None if name == "all" => NAMES.iter().fold(0, |all, (_, field)| all | field.bit()),
+            fields |= match FIELDS.iter().find(|(known, ..)| *known == name) {
+                Some((_, field, _)) => field.bit(),
+                None if name == "all" => Field::ALL.iter().fold(0, |all, field| all | field.bit()),
                 None => {
-                    let known: Vec<_> = NAMES.iter().map(|(known, _)| *known).collect();
+                    let known: Vec<_> = FIELDS.iter().map(|(known, ..)| *known).collect();
                     return Err(format!("no field '{name}', only {}, all", known.join(", ")));
                 }
             };
@@ -63,48 +98,30 @@ impl FromStr for Selection {
 
 impl fmt::Display for Selection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let chosen = NAMES
-            .iter()
-            .filter(|(_, field)| self.fields & field.bit() != 0);
-        let names: Vec<_> = chosen.map(|(name, _)| *name).collect();
+        let chosen = FIELDS.iter().filter(|(_, field, _)| self.has(*field));
+        let names: Vec<_> = chosen.map(|(name, ..)| *name).collect();
         write!(f, "{}/{}", names.join(","), self.every)
     }
 }
 
-/// Header of one field.
-fn columns(field: Field, joints: usize) -> Vec<String> {
-    let named = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
-    match field {
-        Field::State => named(&["flags", "safety_state", "safety_reason"]),
-        Field::Total => joint_columns("total", "nm", joints),
-        Field::Rigid => joint_columns("rigid", "nm", joints),
-        Field::Friction => joint_columns("friction", "nm", joints),
-        Field::Network => joint_columns("network", "nm", joints),
-        Field::DesiredPosition => joint_columns("desired_q", "rad", joints),
-        Field::DesiredVelocity => joint_columns("desired_qd", "rad_s", joints),
-        Field::MeasuredPosition => joint_columns("q", "rad", joints),
-        Field::MeasuredTorque => joint_columns("tau", "nm", joints),
-        Field::Residual => joint_columns("residual", "of_limit", joints),
-        Field::Quality => named(&["trust", "information", "payload_kg", "guard_phase"]),
-        Field::Decision => named(&[
-            "decisions",
-            "decision_reason",
-            "decision_joint",
-            "decision_figure",
-        ]),
-        Field::Cost => named(&["tick_counts", "learn_counts"]),
-        Field::Loss => named(&[
-            "frames_missed",
-            "frames_refused",
-            "replies_lost",
-            "overruns",
-        ]),
-        Field::Temperature => joint_columns("temperature", "c", joints),
+impl Selection {
+    fn has(&self, field: Field) -> bool {
+        self.fields & field.bit() != 0
+    }
+
+    /// Header of the fields.
+    fn columns(&self, joints: usize) -> Vec<String> {
+        let chosen = FIELDS.iter().filter(|(_, field, _)| self.has(*field));
+        let columns = chosen.map(|(name, _, columns)| match columns {
+            Joints(unit) => joint_columns(&name.replace('-', "_"), unit, joints),
+            Board(names) => names.iter().map(|&name| name.to_owned()).collect(),
+        });
+        columns.flatten().collect()
     }
 }
 
 /// Numbers of one field; its bytes have the length of the field.
-fn numbers(field: Field, bytes: &[u8]) -> Vec<f64> {
+pub fn numbers(field: Field, bytes: &[u8]) -> Vec<f64> {
     let word = |place: usize| -> [u8; 4] { std::array::from_fn(|k| bytes[place + k]) };
     let float = |place| f64::from(f32::from_le_bytes(word(place)));
     let int = |place| f64::from(u32::from_le_bytes(word(place)));
@@ -146,11 +163,7 @@ impl Recorder {
         period_s: f64,
     ) -> io::Result<Self> {
         let mut header = vec!["t_s".to_owned()];
-        for field in Field::ALL {
-            if selection.fields & field.bit() != 0 {
-                header.extend(columns(field, joints));
-            }
-        }
+        header.extend(selection.columns(joints));
         Ok(Self {
             selection,
             joints,
@@ -174,9 +187,8 @@ impl Recorder {
             let Some((tick, fields, row)) = &mut self.open else {
                 continue;
             };
-            let chosen = self.selection.fields;
             let wanted = frame.fields(self.joints);
-            for (field, bytes) in wanted.filter(|(field, _)| chosen & field.bit() != 0) {
+            for (field, bytes) in wanted.filter(|(field, _)| self.selection.has(*field)) {
                 *fields |= field.bit();
                 row.extend(numbers(field, bytes));
             }
@@ -218,9 +230,12 @@ mod tests {
 
     #[test]
     fn every_field_has_as_many_columns_as_numbers() {
-        for field in Field::ALL {
+        for (field, (_, own, _)) in Field::ALL.into_iter().zip(FIELDS) {
+            assert_eq!(field, own);
+            let (fields, every) = (field.bit(), 1);
+            let columns = Selection { fields, every }.columns(6);
             let bytes = vec![0; field.bytes(6)];
-            assert_eq!(columns(field, 6).len(), numbers(field, &bytes).len());
+            assert_eq!(columns.len(), numbers(field, &bytes).len());
         }
     }
 }

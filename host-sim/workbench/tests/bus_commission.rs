@@ -5,7 +5,7 @@ use foretorque::arm::ur5::Ur5;
 use foretorque::learning::ParameterSet;
 use foretorque_link::drives::{DriveState, Frame, Protocol, Ranges};
 use foretorque_workbench::bus::sim::{
-    DriveTruth, LineFault, LineFaults, SimulatedDrive, SimulatedNetwork, plant_config,
+    DriveTruth, LineFault, SimulatedDrive, SimulatedNetwork, TimedFault, plant_config,
 };
 use foretorque_workbench::bus::{Ask, BusError, BusPlayer, Commissioning, Network, Profile, Step};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
@@ -303,7 +303,7 @@ fn an_interrupt_in_any_step_switches_every_drive_off() {
 #[test]
 fn a_missing_drive_and_one_with_a_fault_are_named() {
     let mut missing = arm(|_| ());
-    missing.player.network.faults = LineFaults::one(LineFault::Dead(3), 0.0..1e9);
+    missing.player.network.fault = TimedFault::new(LineFault::Dead(3), 0.0..1e9);
     let (failed, _) = commissioned(&mut missing);
     let failed = failed.expect("it is missing");
     assert!(
@@ -311,7 +311,7 @@ fn a_missing_drive_and_one_with_a_fault_are_named() {
         "{failed}"
     );
     let mut faulty = arm(|_| ());
-    faulty.player.network.faults = LineFaults::one(LineFault::DriveFault(1, 9), 0.0..1e9);
+    faulty.player.network.fault = TimedFault::new(LineFault::DriveFault(1, 9), 0.0..1e9);
     let (failed, _) = commissioned(&mut faulty);
     assert_eq!(
         failed.as_deref(),

@@ -1,11 +1,12 @@
 //! The client and the board in this process, through real frames.
 
+use crate::talk::credible as sample;
 use crate::trial::{connected, native};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, evaluate};
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::joint::JointVector;
 use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque_link::bank::{ColumnId, ColumnKind, NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState};
@@ -21,25 +22,6 @@ const BOOT: Duration = Duration::from_millis(10);
 
 fn client() -> Client<N> {
     connected(native())
-}
-
-/// A smooth motion of all joints of an arm a tenth heavier than its description and with friction, measured exactly.
-fn sample(k: u32) -> JointSample<N> {
-    let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
-    truth.rigid *= 1.1;
-    for friction in &mut truth.friction {
-        friction[FrictionColumn::Viscous] = 2.0;
-        friction[FrictionColumn::Coulomb] = 1.0;
-    }
-    let t = k as f32 * 1e-3;
-    let desired = JointMotion {
-        q: JointVector::from_fn(|j, _| (t + j as f32).sin()),
-        qd: JointVector::from_fn(|j, _| (t + j as f32).cos()),
-        qdd: JointVector::from_fn(|j, _| -(t + j as f32).sin()),
-    };
-    let (q, tau) = (desired.q, evaluate::<Ur5, N, P>(&truth, &desired).total);
-    let measured = Some(JointMeasurement { q, tau });
-    JointSample { desired, measured }
 }
 
 fn bits(reply: &TickReply<N>) -> (u32, u16, Vec<u32>) {

@@ -32,28 +32,26 @@ pub struct ExcitationConfig {
 }
 
 impl ExcitationConfig {
-    /// The full campaign for a robot.
-    pub fn full(robot: &str, seed: u64, seeds: u64) -> Self {
+    /// The campaign for a robot; if `quick`, short searches on few points, which do not reach the lowest condition numbers.
+    pub fn new(quick: bool, robot: &str, seed: u64, seeds: u64) -> Self {
         let search = SearchConfig::default();
+        let (points, starts, iterations, condition_limit) = match quick {
+            true => (2000, 4, 40, 200.0),
+            false => (
+                100_000,
+                search.starts,
+                search.iterations,
+                search.condition_limit,
+            ),
+        };
         Self {
             robot: robot.to_owned(),
             seed,
             seeds,
-            points: 100_000,
-            starts: search.starts,
-            iterations: search.iterations,
-            condition_limit: search.condition_limit,
-        }
-    }
-
-    /// Short searches on few points, for tests: they do not reach the lowest condition numbers.
-    pub fn quick(robot: &str, seed: u64, seeds: u64) -> Self {
-        Self {
-            points: 2000,
-            starts: 4,
-            iterations: 40,
-            condition_limit: 200.0,
-            ..Self::full(robot, seed, seeds)
+            points,
+            starts,
+            iterations,
+            condition_limit,
         }
     }
 }

@@ -129,7 +129,7 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
         (Board::Bulk, _) => lengths.bulk_s * TICKS_PER_S / 10,
         (Board::Usart, _) => lengths.usart_ticks,
     };
-    for damage in Damage::ALL {
+    for damage in Damage::all() {
         let ticks = ticks(damage);
         all.push(Scenario::new(damage.name(), move || {
             Ok(damaged_line(board.connect()?, damage, ticks, seed)?)
@@ -146,7 +146,7 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
         Board::Usart => lengths.times.div_ceil(20),
         _ => lengths.times,
     };
-    for bad in BadUpload::ALL {
+    for bad in BadUpload::all() {
         all.push(Scenario::new(bad.name(), move || {
             Ok(bad_uploads(board.connect()?, bad, times, seed)?)
         }));

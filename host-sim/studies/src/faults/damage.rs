@@ -28,31 +28,27 @@ pub enum Damage {
     Silence,
 }
 
+const NAMES: [(Damage, &str); 8] = [
+    (Damage::Flips, "bit flips"),
+    (Damage::Truncation, "truncated frames"),
+    (Damage::Duplication, "duplicated frames"),
+    (Damage::Reordering, "reordered frames"),
+    (Damage::Flood, "floods"),
+    (Damage::Noise, "0.01 % random byte errors"),
+    (Damage::Bursts, "1 % byte errors in bursts"),
+    (Damage::Silence, "silence"),
+];
+
 impl Damage {
     /// All of them.
-    pub const ALL: [Self; 8] = [
-        Self::Flips,
-        Self::Truncation,
-        Self::Duplication,
-        Self::Reordering,
-        Self::Flood,
-        Self::Noise,
-        Self::Bursts,
-        Self::Silence,
-    ];
+    pub fn all() -> impl Iterator<Item = Self> {
+        NAMES.iter().map(|(kind, _)| *kind)
+    }
 
     /// Name in a report.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Flips => "bit flips",
-            Self::Truncation => "truncated frames",
-            Self::Duplication => "duplicated frames",
-            Self::Reordering => "reordered frames",
-            Self::Flood => "floods",
-            Self::Noise => "0.01 % random byte errors",
-            Self::Bursts => "1 % byte errors in bursts",
-            Self::Silence => "silence",
-        }
+    pub fn name(self) -> &'static str {
+        let known = NAMES.iter().find(|(kind, _)| *kind == self);
+        known.map_or("", |(_, name)| name)
     }
 
     /// One frame in how many is hit, where the damage is to frames and not to bytes.

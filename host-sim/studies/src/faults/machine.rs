@@ -2,15 +2,13 @@
 //! task check-in of the firmware.
 
 use super::Campaign;
+use crate::StudyError;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::ConfigError;
 use foretorque_link::safety::{SafetyReason, SafetyState, Task, TaskCheckIn};
-use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
-use foretorque_link::wire::{
-    BoardHello, BoardMessage, Decoder, FrameBuffer, HostMessage, ResetReason, SampleFrame,
-};
+use foretorque_link::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
 use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
+use foretorque_workbench::board::{Client, Native};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::fs;
@@ -159,7 +157,7 @@ impl SimulatedWatchdog {
 
 /// `times` lives of a board in which one task, any of them, stops answering at some moment. The watchdog must bite, the
 /// board must come back disarmed with the reason, refuse to be armed until that was taken note of, and then work.
-pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, ConfigError> {
+pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("watchdog bite", "native");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     for _ in 0..times {
@@ -185,67 +183,24 @@ pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, ConfigError> {
     Ok(campaign)
 }
 
-/// A session after a bite: no torque before it was armed anew, and it can be.
-fn restarted() -> Result<(bool, bool), ConfigError> {
-    let board = BoardDescription {
-        reset_reason: ResetReason::Watchdog,
-        ..BoardDescription::plain(NoClock)
-    };
-    let mut session = Session::<Ur5, JOINTS, PARAMETERS>::new(board)?;
-    let mut mailboxes = Mailboxes::new();
+/// A board after a bite: no torque before it was armed anew, and it can be.
+fn restarted() -> Result<(bool, bool), StudyError> {
+    let native = Native::<Ur5, JOINTS, PARAMETERS>::restarted(ResetReason::Watchdog)?;
+    let mut board = Client::connect::<Ur5, PARAMETERS>(Box::new(native), PATIENCE)?;
+    let zero = JointVector::zeros();
     let still = JointSample {
         desired: JointMotion::zero(),
-        measured: Some(JointMeasurement {
-            q: JointVector::zeros(),
-            tau: JointVector::zeros(),
-        }),
-    };
-    let sample = HostMessage::Sample(SampleFrame::new(&still));
-    let mut sequence = 0;
-    let mut ask = |message: &HostMessage<JOINTS>,
-                   session: &mut Session<Ur5, JOINTS, PARAMETERS>| {
-        let (mut question, mut answer) = (FrameBuffer::new(), FrameBuffer::new());
-        sequence += 1;
-        // A frame always fits an empty buffer.
-        let _ = question.push(sequence, message);
-        session.receive(
-            question.as_bytes(),
-            &mut mailboxes,
-            &mut answer,
-            &mut NoLocalSensor,
-        );
-        received(answer.as_bytes())
+        measured: Some(JointMeasurement { q: zero, tau: zero }),
     };
     let mut quiet = true;
-    for message in [
-        &sample,
-        &sample,
-        &sample,
-        &sample,
-        &HostMessage::Arm,
-        &sample,
-    ] {
-        if let Some(BoardMessage::Torque(torque)) = ask(message, &mut session) {
-            quiet &= torque.total.iter().all(|&torque| torque == 0.0);
-        }
+    for _ in 0..4 {
+        quiet &= board.sample(&still)?.total == zero;
     }
-    let reported = session.safety().state == SafetyState::Fault
-        && session.safety().reason == SafetyReason::Restarted;
-    let cleared = ask(&HostMessage::ClearFault, &mut session) == Some(BoardMessage::Ack);
-    let armed = ask(&HostMessage::Arm, &mut session) == Some(BoardMessage::Ack);
-    Ok((
-        quiet,
-        reported && cleared && armed && session.torque_enabled(),
-    ))
-}
-
-fn received(bytes: &[u8]) -> Option<BoardMessage<JOINTS>> {
-    let mut decoder = Decoder::new();
-    let mut message = None;
-    for &byte in bytes {
-        if let Some(Ok(frame)) = decoder.push(byte) {
-            message = frame.message().ok();
-        }
-    }
-    message
+    let refused = board.arm(&still).is_err();
+    quiet &= board.sample(&still)?.total == zero;
+    let safety = board.safety();
+    let reported = safety.state == SafetyState::Fault && safety.reason == SafetyReason::Restarted;
+    let armed = board.clear_fault().is_ok() && board.arm(&still).is_ok();
+    let enabled = board.sample(&still)?.safety.state == SafetyState::Armed;
+    Ok((quiet, refused && reported && armed && enabled))
 }

@@ -32,11 +32,11 @@ impl TimedFault {
     pub fn all() -> impl Iterator<Item = Self> {
         // In time, nothing is wrong.
         let timings = Timing::ALL.into_iter().skip(1).map(Self::Timing);
-        timings.chain(Damage::ALL.map(Self::Damage))
+        timings.chain(Damage::all().map(Self::Damage))
     }
 
     /// Name in a report.
-    pub const fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Timing(Timing::Exact) => "samples in time",
             Self::Timing(Timing::Jitter) => "jitter",

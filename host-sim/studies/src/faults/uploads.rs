@@ -29,27 +29,28 @@ pub enum BadUpload {
     StrangeNumber,
 }
 
+const NAMES: [(BadUpload, &str); 6] = [
+    (BadUpload::Interrupted, "interrupted uploads"),
+    (BadUpload::Reset, "reset in the middle of an upload"),
+    (BadUpload::WrongRobot, "banks of another robot"),
+    (BadUpload::WrongVersion, "banks of another version"),
+    (BadUpload::Damaged, "damaged banks"),
+    (
+        BadUpload::StrangeNumber,
+        "banks with NaN and infinite numbers",
+    ),
+];
+
 impl BadUpload {
     /// All of them.
-    pub const ALL: [Self; 6] = [
-        Self::Interrupted,
-        Self::Reset,
-        Self::WrongRobot,
-        Self::WrongVersion,
-        Self::Damaged,
-        Self::StrangeNumber,
-    ];
+    pub fn all() -> impl Iterator<Item = Self> {
+        NAMES.iter().map(|(kind, _)| *kind)
+    }
 
     /// Name in a report.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Interrupted => "interrupted uploads",
-            Self::Reset => "reset in the middle of an upload",
-            Self::WrongRobot => "banks of another robot",
-            Self::WrongVersion => "banks of another version",
-            Self::Damaged => "damaged banks",
-            Self::StrangeNumber => "banks with NaN and infinite numbers",
-        }
+    pub fn name(self) -> &'static str {
+        let known = NAMES.iter().find(|(kind, _)| *kind == self);
+        known.map_or("", |(_, name)| name)
     }
 }
 

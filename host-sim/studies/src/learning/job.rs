@@ -1,45 +1,30 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
-use super::batch::Rows;
-use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
+use super::arms::WorldArm;
+use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::StudyError;
 use crate::prior::bank_of;
 use foretorque::arm::Arm;
 use foretorque::feedforward::{ParameterSet, evaluate};
-use foretorque::joint::JointMeasurement;
 use foretorque::learning::rated_payload;
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::safety::SafetyState;
-use foretorque_link::wire::{Field, TelemetryFrame};
-use foretorque_workbench::board::{BoardError, Client, Native};
 use foretorque_workbench::closed_loop::control::PdConfig;
-use foretorque_workbench::closed_loop::{Answer, ClosedLoop, motion_f32};
+use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
-use foretorque_workbench::metrics::{MOVING_RAD_S, TrackingError};
+use foretorque_workbench::metrics::MOVING_RAD_S;
 use foretorque_workbench::plant::Plant;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
-use std::time::Duration;
 
 /// Bandwidth of the PD loop, Hz.
 const BANDWIDTH_HZ: f64 = 6.0;
-/// Ticks between two comparisons of torques.
-const EVERY: usize = 5;
-/// Points of the unseen path, and ticks between two looks at it.
+/// Points of the unseen path.
 const UNSEEN_POINTS: usize = 250;
-const LOOK: usize = 500;
 /// Time of the look at which learning is compared with batch identification, s.
 const EARLY_S: f64 = 30.0;
 /// Joints below this share of their torque limit count as having it.
 const LEAST_TORQUE: f64 = 0.02;
-/// Length of the windows, s; rows this soon after a payload changes are in none, s.
-const WINDOW_S: usize = 10;
-const GRACE_S: f64 = 2.5;
-/// Time from a pick to the look at its mass, s.
-const WEIGHED_S: f64 = 3.0;
-/// Codes that are false on undisturbed motion: an alarm of change detection, a payload.
-const DISTURBED: [u8; 2] = [1, 2];
 
 /// An arm of one seed.
 pub(super) struct Bench<const N: usize> {
@@ -48,24 +33,9 @@ pub(super) struct Bench<const N: usize> {
     truth: Robot,
     bare: Robot,
     /// PD control of a motor drive, and of one with a torque loop.
-    pd: [PdConfig<N>; 2],
+    pub(super) pd: [PdConfig<N>; 2],
     unseen: Vec<State<N>>,
-    scale: Joints<N>,
-}
-
-/// Errors of one second, squares in units of the joints' scale: learnt, start, and values.
-type Second = [f64; 3];
-
-/// Record of one run.
-struct Trace<const N: usize> {
-    seconds: Vec<Second>,
-    tracking: TrackingError<N>,
-    alarms: u32,
-    /// Payload mass the board reports, kg, by tick of the look.
-    weighed: Vec<f64>,
-    curve: Vec<(f64, f64)>,
-    rows: Rows<N>,
-    armed: bool,
+    pub(super) scale: Joints<N>,
 }
 
 impl<const N: usize> Bench<N> {
@@ -109,13 +79,13 @@ impl<const N: usize> Bench<N> {
     }
 
     /// Torques that `plant` needs along the unseen path.
-    fn needed(&self, plant: &Plant<N>) -> Vec<Joints<N>> {
+    pub(super) fn needed(&self, plant: &Plant<N>) -> Vec<Joints<N>> {
         let motions = self.unseen.iter();
         motions.map(|state| plant.true_torque(state)).collect()
     }
 
     /// Error of a set on the unseen path, in units of the joints' scale.
-    fn unseen_error<A: Arm<N, P>, const P: usize>(
+    pub(super) fn unseen_error<A: Arm<N, P>, const P: usize>(
         &self,
         set: &ParameterSet<N, P>,
         needed: &[Joints<N>],
@@ -186,7 +156,7 @@ impl<const N: usize> Bench<N> {
             scenario.ticks(false),
             0.0,
         )?;
-        let start = start.set::<A, N, P>().map_err(BoardError::Bank)?;
+        let start = start.set::<A, N, P>()?;
         Ok(trace.rows.fit::<A, P>(&start))
     }
 
@@ -218,7 +188,7 @@ impl<const N: usize> Bench<N> {
         let last = |t_s: f64| learnt.curve.iter().rfind(|(at, _)| *at <= t_s + 1e-9);
         let early = last(EARLY_S).map_or(f64::NAN, |(_, error)| *error);
         put("unseen_over_start_ratio", early);
-        let windows = windows(&learnt.seconds);
+        let windows = learnt.windows();
         if !windows.is_empty() {
             let worse = windows.iter().filter(|ratio| **ratio > 1.05).count();
             put(
@@ -249,9 +219,9 @@ impl<const N: usize> Bench<N> {
             );
         }
         if scenario.against_batch {
-            let set = bank.set::<A, N, P>().map_err(BoardError::Bank)?;
+            let set = bank.set::<A, N, P>()?;
             let batch = learnt.rows.fit::<A, P>(&set);
-            let batch = batch.set::<A, N, P>().map_err(BoardError::Bank)?;
+            let batch = batch.set::<A, N, P>()?;
             let needed = self.needed(&plant);
             let batch = self.unseen_error::<A, P>(&batch, &needed)
                 / self.unseen_error::<A, P>(&set, &needed);
@@ -274,168 +244,4 @@ impl<const N: usize> Bench<N> {
         }
         Ok((figures, learnt.curve))
     }
-
-    /// Mean tracking error in the second half of `path`, mrad, with the torques that a perfect model of the measured ones
-    /// would predict as feed-forward.
-    fn truth_tracking(
-        &self,
-        mut plant: Plant<N>,
-        source: Source,
-        path: &Trajectory<N>,
-        ticks: usize,
-    ) -> Result<f64, StudyError> {
-        let pd = &self.pd[usize::from(source == Source::Link)];
-        let mut play = ClosedLoop::new(&mut plant, pd, path, PERIOD_S, None)?;
-        let mut tracking = TrackingError::default();
-        for tick in 0..ticks {
-            let next = path.at((tick + 1) as f64 * PERIOD_S);
-            let answer = Answer {
-                total: plant.true_torque(&next).cast(),
-                shares: None,
-                flags: 0,
-            };
-            let record = play.tick_with(&mut plant, |_| Ok::<_, StudyError>(Some(answer)))?;
-            if 2 * tick > ticks {
-                tracking.add(&(record.desired.q - record.q));
-            }
-        }
-        Ok(tracking.mean_rms_mrad())
-    }
-
-    /// Plays `path`, with the board that starts from a bank and learns, or not; or without one.
-    ///
-    /// * `rows_s` rows for batch identification are kept up to this time, s; 0 keeps all
-    fn run<A: Arm<N, P>, const P: usize>(
-        &self,
-        (mut plant, source): (Plant<N>, Source),
-        path: &Trajectory<N>,
-        start: Option<(&ParameterBank, bool)>,
-        ticks: usize,
-        rows_s: f64,
-    ) -> Result<Trace<N>, StudyError> {
-        let mut board = None;
-        let mut started = None;
-        if let Some((bank, _)) = start {
-            let native = Box::new(Native::<A, N, P>::new()?);
-            let mut client = Client::connect::<A, P>(native, Duration::from_secs(1))?;
-            client.upload_bank(bank)?;
-            started = Some(bank.set::<A, N, P>().map_err(BoardError::Bank)?);
-            board = Some(client);
-        }
-        let mut play = ClosedLoop::new(
-            &mut plant,
-            &self.pd[usize::from(source == Source::Link)],
-            path,
-            PERIOD_S,
-            board.as_mut(),
-        )?;
-        let learns = start.is_some_and(|(_, learns)| learns);
-        if let Some(board) = &mut board {
-            board.learning(learns)?;
-            board.stream(Field::Quality.bit() | Field::Decision.bit(), 2)?;
-        }
-        let mut trace = Trace {
-            seconds: Vec::new(),
-            tracking: TrackingError::default(),
-            alarms: 0,
-            weighed: Vec::new(),
-            curve: Vec::new(),
-            rows: Rows::new(),
-            armed: true,
-        };
-        let (mut acting, mut decided, mut mass) = (Joints::zeros(), 0, 0.0);
-        let (mut carried, mut changed_s) = (false, f64::NEG_INFINITY);
-        for tick in 0..ticks {
-            let t_s = tick as f64 * PERIOD_S;
-            if let (Some(board), Some(started), true) = (&mut board, &started, learns)
-                && tick.is_multiple_of(LOOK)
-            {
-                let set = board
-                    .read_bank()?
-                    .set::<A, N, P>()
-                    .map_err(BoardError::Bank)?;
-                let needed = self.needed(&plant);
-                let before = self.unseen_error::<A, P>(started, &needed);
-                let error = self.unseen_error::<A, P>(&set, &needed) / before;
-                trace.curve.push((t_s, error));
-            }
-            let record = play.tick(&mut plant, board.as_mut())?;
-            if (carried, plant.carried().is_some()) != (carried, carried) {
-                (carried, changed_s) = (plant.carried().is_some(), t_s);
-            }
-            if carried && (t_s - changed_s - WEIGHED_S).abs() < 0.5 * PERIOD_S {
-                trace.weighed.push(mass);
-            }
-            if 2 * tick > ticks {
-                trace.tracking.add(&(record.desired.q - record.q));
-            }
-            if rows_s == 0.0 || t_s < rows_s {
-                let measured = record.reported.map(|reported| JointMeasurement {
-                    q: reported.q.cast(),
-                    tau: reported.tau.cast(),
-                });
-                trace.rows.push(measured.as_ref());
-            }
-            if let (Some(started), true, true) = (
-                &started,
-                tick % EVERY == 0,
-                t_s - changed_s > GRACE_S && tick > 0,
-            ) {
-                let needed = plant.true_torque(&record.desired);
-                let motion = motion_f32(&record.desired);
-                let frozen: Joints<N> = evaluate::<A, N, P>(started, &motion).total.cast();
-                let second = t_s as usize;
-                trace
-                    .seconds
-                    .resize(trace.seconds.len().max(second + 1), [0.0; 3]);
-                for j in (0..N).filter(|&j| record.desired.qd[j].abs() > MOVING_RAD_S) {
-                    let square = |tau: f64| ((tau - needed[j]) / self.scale[j]).powi(2);
-                    let sums = &mut trace.seconds[second];
-                    sums[0] += square(acting[j]);
-                    sums[1] += square(frozen[j]);
-                    sums[2] += 1.0;
-                }
-            }
-            acting = record.feed_forward.cast();
-            if let Some(board) = &mut board {
-                trace.armed = board.safety().state == SafetyState::Armed;
-                for frame in board.take_telemetry() {
-                    watch::<N>(&frame, &mut decided, &mut trace.alarms, &mut mass);
-                }
-            }
-        }
-        Ok(trace)
-    }
-}
-
-/// Takes the payload mass, new alarms and new payloads out of a frame.
-fn watch<const N: usize>(
-    frame: &TelemetryFrame,
-    decided: &mut u32,
-    alarms: &mut u32,
-    mass: &mut f64,
-) {
-    for (field, bytes) in frame.fields(N) {
-        let word = |place: usize| bytes.get(place..place + 4)?.try_into().ok();
-        match field {
-            Field::Quality => *mass = word(8).map_or(0.0, |w| f64::from(f32::from_le_bytes(w))),
-            Field::Decision => {
-                let count = word(0).map_or(0, u32::from_le_bytes);
-                *alarms += u32::from(
-                    count != *decided && bytes.get(4).is_some_and(|code| DISTURBED.contains(code)),
-                );
-                *decided = count;
-            }
-            _ => {}
-        }
-    }
-}
-
-/// Learnt error over that of the start on every window with motion.
-fn windows(seconds: &[Second]) -> Vec<f64> {
-    let windows = seconds.windows(WINDOW_S).map(|window| {
-        let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
-        (sum(0) / sum(1)).sqrt()
-    });
-    windows.filter(|ratio| ratio.is_finite()).collect()
 }

@@ -1,12 +1,12 @@
 //! Does learning pay on every arm, and can it make anything worse? A world of arms in closed loop, over everything that may
 //! go wrong.
 
+mod arms;
 mod bars;
 mod batch;
-mod controller;
 mod job;
 mod page;
-mod setup;
+mod run;
 pub mod soak;
 mod twin;
 mod world;
@@ -14,6 +14,7 @@ mod world;
 pub use bars::Comparison;
 
 use crate::{Outcome, Progress, StudyError};
+use arms::{ARMS, WorldArm};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::parallel::{cores, in_parallel};
@@ -21,7 +22,7 @@ use job::Bench;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use world::{ARMS, Scenario, WorldArm};
+use world::Scenario;
 
 /// Period of the tick, s.
 const PERIOD_S: f64 = 1e-3;

@@ -1,6 +1,6 @@
 //! `report.html` and text: figures against their bars by arm, and the curves behind them.
 
-use super::world::ARMS;
+use super::arms::ARMS;
 use super::{Comparison, LearningReport};
 use crate::Outcome;
 use foretorque_workbench::report::page::{Page, Section};

@@ -1,29 +1,32 @@
 //! Ten million ticks of learning: nothing overflows, nothing drifts away, and the board gives the same bits.
 
 use super::PERIOD_S;
-use super::controller::Controller;
-use super::setup::{N, P, Setup};
-use super::twin::Twin;
+use super::twin::{CHUNK, N, P, Set, twin};
+use crate::prior::bank_of;
 use crate::{Outcome, Progress, StudyError};
-use foretorque::arm::ur5::{JOINTS, Ur5};
+use foretorque::arm::ur5::Ur5;
+use foretorque::feedforward::evaluate;
 use foretorque::joint::{JointMeasurement, JointSample};
-use foretorque::learning::{Estimator, MeasurementWindow, torque_row};
 use foretorque_link::bank::ParameterBank;
-use foretorque_link::safety::SafetyReason;
-use foretorque_link::wire::SampleFrame;
-use foretorque_workbench::board::Client;
+use foretorque_workbench::board::{Client, Native, Transport};
 use foretorque_workbench::closed_loop::motion_f32;
+use foretorque_workbench::metrics::TorqueError;
 use foretorque_workbench::parallel::roam;
 use foretorque_workbench::plant::{Events, Payload, Plant, PlantConfig};
 use foretorque_workbench::report::page::{Page, Section};
-use foretorque_workbench::trajectory::Trajectory;
+use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::trajectory::via::ViaPath;
+use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::Serialize;
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
+use std::rc::Rc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 /// Lengths of the soak.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,6 +68,45 @@ pub struct SoakReport {
     pub board_ticks_with_other_bits_count: usize,
 }
 
+/// The arm of a seed.
+struct Setup {
+    seed: u64,
+    /// The arm as described.
+    described: Robot,
+    /// The arm as it is.
+    truth: Robot,
+    /// The wrong prior: inertias 20 % and friction 40 % off.
+    wrong: ParameterBank,
+}
+
+impl Setup {
+    fn new(seed: u64) -> Result<Self, StudyError> {
+        let described = Robot::load("ur5")?;
+        let truth = described.perturbed(seed, &Perturbation::PLANT);
+        let wrong = truth.perturbed(seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
+        Ok(Self {
+            seed,
+            described,
+            truth,
+            wrong: bank_of::<Ur5, N, P>(&wrong),
+        })
+    }
+
+    /// Torque error of `set` on moving rows of a path that is never played, by what `plant` needs there.
+    fn unseen_error(&self, set: &Set, plant: &Plant<N>) -> f64 {
+        let unseen = Trajectory::<N>::validation(&self.described, self.seed.wrapping_add(2));
+        let mut error = TorqueError::default();
+        for k in 0..UNSEEN_POINTS {
+            let state = unseen.at(k as f64 / UNSEEN_POINTS as f64 * unseen.duration_s());
+            let predicted = evaluate::<Ur5, N, P>(set, &motion_f32(&state)).total;
+            error.add(&plant.true_torque(&state), &predicted.cast(), &state.qd);
+        }
+        error.nrmse_moving()
+    }
+}
+
+/// Points of the unseen path.
+const UNSEEN_POINTS: usize = 250;
 /// Length of the path and of the standstill behind it, s; then it begins anew.
 const PATH_S: f64 = 590.0;
 const ROUND_S: f64 = 600.0;
@@ -72,8 +114,6 @@ const ROUND_S: f64 = 600.0;
 const PAYLOAD_EVERY_S: f64 = 40.0;
 /// Centre of mass of the payload in the frame of the last link, m: 5 cm beyond the flange and aside.
 const PAYLOAD_COM_M: [f64; 3] = [0.02, -0.01, 0.0823 + 0.05];
-/// Ticks between two evaluations at what is large.
-const CHUNK: usize = 1000;
 
 /// An arm that does exactly what it should, and reports it with noise.
 struct Source<'w> {
@@ -88,7 +128,14 @@ struct Source<'w> {
 
 impl<'w> Source<'w> {
     fn new(setup: &'w Setup) -> Result<Self, StudyError> {
-        let plant = setup.plant(PlantConfig::default())?;
+        let plant = Plant::new(
+            &setup.truth,
+            PlantConfig::default(),
+            setup.seed.wrapping_mul(1000),
+        )
+        .ok_or(StudyError::Joints(N))?;
+        let seed = setup.seed.wrapping_add(203);
+        let path = ViaPath::random(&setup.described, seed, PATH_S, VALIDATION_PEAK_RAD_S);
         let payload = Payload::cube(2.0, PAYLOAD_COM_M, 0.0, f64::INFINITY);
         let loaded = plant.clone().with_events(Events {
             payloads: vec![payload],
@@ -96,7 +143,7 @@ impl<'w> Source<'w> {
         });
         Ok(Self {
             setup,
-            path: Trajectory::Via(setup.task(PATH_S, 200)),
+            path: Trajectory::Via(path),
             arms: [plant, loaded],
             random: ChaCha8Rng::seed_from_u64(setup.seed),
             tick: 0,
@@ -138,7 +185,7 @@ impl<'w> Source<'w> {
 /// Errors: the board's.
 pub fn run(
     config: &SoakConfig,
-    board: Option<&mut Client<JOINTS>>,
+    board: Option<&mut Client<N>>,
     progress: Progress<'_>,
 ) -> Result<Outcome<SoakReport>, StudyError> {
     let setup = Setup::new(config.seed)?;
@@ -159,7 +206,10 @@ pub fn run(
         });
         let twin = scope.spawn(|| {
             roam();
-            twin(&setup, config.ticks, &advance)
+            let mut source = Source::new(&setup)?;
+            let samples = (0..config.ticks).map(|_| source.next());
+            let prior = setup.wrong.set::<Ur5, N, P>()?;
+            Ok::<_, StudyError>(twin(&prior, samples, &advance))
         });
         let other_bits = match board {
             Some(board) => on_board(&setup, board, board_ticks, &advance),
@@ -174,10 +224,6 @@ pub fn run(
     report.board_ticks_count = board_ticks;
     report.board_ticks_with_other_bits_count = other_bits?;
     outcome(report)
-}
-
-fn unarmed(reason: SafetyReason) -> StudyError {
-    StudyError::Unusable(format!("the board was not armed: {reason}"))
 }
 
 fn stopped(what: &str) -> StudyError {
@@ -205,26 +251,44 @@ fn outcome(report: SoakReport) -> Result<Outcome<SoakReport>, StudyError> {
     })
 }
 
+/// Gives `board` the wrong prior and arms it at the begin of the path, learning.
+fn begin(source: &Source<'_>, board: &mut Client<N>) -> Result<(), StudyError> {
+    board.reset()?;
+    board.upload_bank(&source.setup.wrong)?;
+    board.learning(true)?;
+    let desired = motion_f32(&source.path.at(0.0));
+    let tau = board.evaluate(&desired)?.total;
+    let measured = Some(JointMeasurement { q: desired.q, tau });
+    Ok(board.arm(&JointSample { desired, measured })?)
+}
+
+fn client(native: impl Transport + 'static) -> Result<Client<N>, StudyError> {
+    let boot = Duration::from_secs(1);
+    Ok(Client::connect::<Ur5, P>(Box::new(native), boot)?)
+}
+
 /// The board's code in this process.
 fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport, StudyError> {
     let mut source = Source::new(setup)?;
-    let mut board = Controller::new(&setup.wrong, Controller::config(), true)?;
-    let arming = board.arming_sample(motion_f32(&source.path.at(0.0)));
-    board.arm(&arming).map_err(unarmed)?;
+    let native = Rc::new(RefCell::new(Native::<Ur5, N, P>::new()?));
+    let mut board = client(Rc::clone(&native))?;
+    begin(&source, &mut board)?;
     let (mut not_finite, mut least) = (0, f64::INFINITY);
     let (mut decided, mut decisions) = (0, BTreeMap::<String, u32>::new());
     for tick in 0..ticks {
-        let torque = board.tick(Some(&source.next()));
-        let sound = torque.total.iter().all(|tau| tau.is_finite()) && board.active().is_finite();
-        not_finite += usize::from(!sound);
-        let log = &board.report().decisions;
+        let torque = board.sample(&source.next())?.total;
+        let native = native.borrow();
+        let feed_forward = native.session().feed_forward();
+        let finite = torque.iter().all(|tau| tau.is_finite());
+        not_finite += usize::from(!(finite && feed_forward.in_force().is_finite()));
+        let log = &feed_forward.state().report.decisions;
         for decision in (decided..log.count()).filter_map(|index| log.get(index)) {
             let reason = format!("{:?}", decision.reason);
             *decisions.entry(reason).or_default() += 1;
         }
         decided = log.count();
         if tick % CHUNK == CHUNK - 1 {
-            let diagonal = board.learner().estimate.filter().diagonal();
+            let diagonal = native.learner().state().estimate.filter().diagonal();
             // Not a number would get lost in a minimum.
             least = diagonal
                 .iter()
@@ -233,8 +297,9 @@ fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
             advance();
         }
     }
-    let needed = setup.needed(&source.arms[source.arm]);
-    let error = setup.error(&setup.predicted(&board.active()), &needed);
+    let native = native.borrow();
+    let feed_forward = native.session().feed_forward();
+    let error = setup.unseen_error(&feed_forward.in_force(), &source.arms[source.arm]);
     Ok(SoakReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         seed: setup.seed,
@@ -243,67 +308,29 @@ fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
         least_diagonal_ratio: least,
         twin_distance_worst_prior_sigmas: f64::NAN,
         twin_rows_count: 0,
-        late_sets_count: board.late_sets(),
-        last_nrmse_moving_percent: 100.0 * error.nrmse_moving(),
+        late_sets_count: feed_forward.state().late_sets,
+        last_nrmse_moving_percent: 100.0 * error,
         decisions_count: decisions,
         board_ticks_count: 0,
         board_ticks_with_other_bits_count: 0,
     })
 }
 
-/// The firmware's estimator beside exact arithmetic, on the rows of the same samples. Returns the largest distance, prior
-/// standard deviations, and the number of rows.
-fn twin(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<(f64, usize), StudyError> {
-    let mut source = Source::new(setup)?;
-    let config = Controller::config();
-    let prior = &setup.wrong;
-    let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
-    let mut twin = Twin::new(config, prior);
-    let mut window = MeasurementWindow::<N>::new();
-    let (mut worst, mut rows) = (0.0_f64, 0);
-    for tick in 0..ticks {
-        let sample = SampleFrame::new(&source.next()).sample(&[0.0; N]);
-        window.push(sample.measured.as_ref());
-        let joint = tick % N;
-        let seen = window.conditioned(config.inv_period);
-        if let Some(seen) = seen.filter(|seen| seen.motion.qd[joint].abs() >= config.velocity_gate)
-        {
-            let row = torque_row::<Ur5, N, P>(joint, &seen);
-            let limit = <Ur5 as foretorque::arm::Arm<N, P>>::LIMITS[joint].torque;
-            let inflation = estimator.inflation();
-            let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
-            if taken.is_some() {
-                twin.correct(joint, &row, seen.tau[joint], inflation);
-                rows += 1;
-            }
-        }
-        if tick % CHUNK == CHUNK - 1 {
-            worst = worst.max(twin.distance(estimator.parameters()));
-            advance();
-        }
-    }
-    Ok((worst, rows))
-}
-
 /// Plays the samples through `board`. Returns the ticks in which a torque had other bits than the native one.
 fn on_board(
     setup: &Setup,
-    board: &mut Client<JOINTS>,
+    board: &mut Client<N>,
     ticks: usize,
     advance: &dyn Fn(),
 ) -> Result<usize, StudyError> {
     let mut source = Source::new(setup)?;
-    let mut native = Controller::new(&setup.wrong, Controller::config(), true)?;
-    board.reset()?;
-    board.upload_bank(&ParameterBank::from_set::<Ur5, N, P>(&setup.wrong))?;
-    board.learning(true)?;
-    let arming = native.arming_sample(motion_f32(&source.path.at(0.0)));
-    native.arm(&arming).map_err(unarmed)?;
-    board.arm(&arming)?;
+    let mut native = client(Native::<Ur5, N, P>::new()?)?;
+    begin(&source, &mut native)?;
+    begin(&source, board)?;
     let mut other = 0;
     for tick in 0..ticks {
         let sample = source.next();
-        let (here, there) = (native.tick(Some(&sample)), board.sample(&sample)?);
+        let [here, there] = [native.sample(&sample)?, board.sample(&sample)?];
         other += usize::from(here.total.map(f32::to_bits) != there.total.map(f32::to_bits));
         if tick % CHUNK == CHUNK - 1 {
             advance();
@@ -316,16 +343,10 @@ fn on_board(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use foretorque::arm::ur5::PARAMETERS;
-    use foretorque_workbench::board::Native;
-    use std::time::Duration;
 
     #[test]
     fn a_short_soak_stays_finite_positive_and_where_exact_arithmetic_is() {
-        let native = Native::<Ur5, JOINTS, PARAMETERS>::new().expect("boots");
-        let mut board =
-            Client::connect::<Ur5, PARAMETERS>(Box::new(native), Duration::from_secs(1))
-                .expect("hello");
+        let mut board = client(Native::<Ur5, N, P>::new().expect("boots")).expect("hello");
         let config = SoakConfig {
             seed: 1,
             ticks: 100_000,

@@ -1,12 +1,24 @@
 //! A twin of the firmware's estimator on the plain covariance and in f64: nearly exact arithmetic.
 
-use super::setup::{N, P, Set};
+use super::PERIOD_S;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
+pub(super) use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P};
 use foretorque::dynamics::{DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS};
-use foretorque::learning::{Estimator, LearnerConfig, LinearParameters, prior_factor, prior_floor};
+use foretorque::feedforward::ParameterSet;
+use foretorque::joint::JointSample;
+use foretorque::learning::{
+    Estimator, LearnerConfig, LinearParameters, MeasurementWindow, prior_factor, prior_floor,
+    torque_row,
+};
+use foretorque_link::wire::SampleFrame;
 use nalgebra::{DMatrix, DVector, SVector};
 
+/// Parameters of the soaked arm.
+pub(super) type Set = ParameterSet<N, P>;
+
+/// Ticks between two evaluations at what is large.
+pub(super) const CHUNK: usize = 1000;
 /// Where half of the |z| of a normal z lie, growth of the variance beyond it, and its range.
 const MEDIAN: f64 = 0.6745;
 const VARIANCE_STEP: f64 = 1.005;
@@ -142,4 +154,40 @@ impl Twin {
         let found = (wide(estimate) - &self.start).component_div(&self.sigma);
         (found - &self.theta).amax()
     }
+}
+
+/// The firmware's estimator beside exact arithmetic, on the rows of the same samples. Returns the largest distance, prior
+/// standard deviations, and the number of rows.
+pub(super) fn twin(
+    prior: &Set,
+    samples: impl Iterator<Item = JointSample<N>>,
+    advance: &dyn Fn(),
+) -> (f64, usize) {
+    let config = LearnerConfig::<N, P>::for_arm::<Ur5>(PERIOD_S as f32);
+    let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
+    let mut twin = Twin::new(config, prior);
+    let mut window = MeasurementWindow::<N>::new();
+    let (mut worst, mut rows) = (0.0_f64, 0);
+    for (tick, sample) in samples.enumerate() {
+        let sample = SampleFrame::new(&sample).sample(&[0.0; N]);
+        window.push(sample.measured.as_ref());
+        let joint = tick % N;
+        let seen = window.conditioned(config.inv_period);
+        if let Some(seen) = seen.filter(|seen| seen.motion.qd[joint].abs() >= config.velocity_gate)
+        {
+            let row = torque_row::<Ur5, N, P>(joint, &seen);
+            let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
+            let inflation = estimator.inflation();
+            let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
+            if taken.is_some() {
+                twin.correct(joint, &row, seen.tau[joint], inflation);
+                rows += 1;
+            }
+        }
+        if tick % CHUNK == CHUNK - 1 {
+            worst = worst.max(twin.distance(estimator.parameters()));
+            advance();
+        }
+    }
+    (worst, rows)
 }

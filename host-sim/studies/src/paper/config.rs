@@ -30,11 +30,11 @@ pub struct PaperConfig {
 }
 
 impl PaperConfig {
-    /// The whole study.
+    /// The whole study; if `quick`, few levels and draws.
     ///
     /// Errors: none in an undamaged program.
-    pub fn full(seed: u64, seeds: u64) -> Result<Self, StudyError> {
-        Ok(Self {
+    pub fn new(quick: bool, seed: u64, seeds: u64) -> Result<Self, StudyError> {
+        let whole = Self {
             seed,
             seeds,
             noise_percent: vec![0.0, 0.5, 1.0, 2.0, 5.0],
@@ -42,19 +42,16 @@ impl PaperConfig {
             friction: FRICTIONS.to_vec(),
             rows: vec![50, 100, 200, 500, 1000],
             excitation: serde_json::from_str(PRECOMPUTED)?,
-        })
-    }
-
-    /// Few levels and draws, for tests.
-    ///
-    /// Errors: none in an undamaged program.
-    pub fn quick(seed: u64, seeds: u64) -> Result<Self, StudyError> {
-        Ok(Self {
-            noise_percent: vec![1.0],
-            outlier_percent: vec![0.0, 1.0],
-            friction: vec![FrictionKind::CoulombViscous],
-            rows: vec![100],
-            ..Self::full(seed, seeds.min(2))?
+        };
+        Ok(match quick {
+            true => Self {
+                seeds: seeds.min(2),
+                noise_percent: vec![1.0],
+                friction: vec![FrictionKind::CoulombViscous],
+                rows: vec![100],
+                ..whole
+            },
+            false => whole,
         })
     }
 

@@ -23,6 +23,7 @@ use cell::{Bench, ROWS};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::parallel::cores;
+use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::Robot;
 use std::path::Path;
 
@@ -67,8 +68,7 @@ pub fn run(
     for (name, picture) in page::pictures(&report, &curves)? {
         write_whole(&out.join(name), picture.as_bytes())?;
     }
-    let json = serde_json::to_string_pretty(&times)? + "\n";
-    write_whole(&out.join("timing.json"), json.as_bytes())?;
+    write_json(&out.join("timing.json"), &times)?;
     Ok(Some(Outcome {
         page: page::page(&report, &curves, &times),
         text: page::text(&report),

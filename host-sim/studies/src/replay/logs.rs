@@ -180,16 +180,7 @@ fn batch(
     prepare: PrepareConfig,
     seed: u64,
 ) -> Result<Vec<f64>, StudyError> {
-    let config = IdentifyConfig {
-        methods: vec![MethodName::Wls],
-        columns: columns(text)?,
-        prepare,
-        seed,
-        fold_period_s: None,
-        gains_from_standstill: false,
-        truth: None,
-        test: Vec::new(),
-    };
+    let config = IdentifyConfig::new(vec![MethodName::Wls], columns(text)?, prepare, seed);
     let outcome = identify(robot, training, held_out, &config, &|_| ())?;
     let record = outcome.report.methods.get(&MethodName::Wls.to_string());
     let parameters = record.ok_or(IdentifyError::Unsolvable)?.parameters.iter();

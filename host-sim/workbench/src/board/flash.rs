@@ -61,8 +61,6 @@ pub enum Torn {
 }
 
 impl Torn {
-    /// Interruptions to try while a word is programmed.
-    pub const WORD: [Self; 4] = [Self::Before, Self::After, Self::Bits, Self::Unstable];
     /// All ways, for the erasing of a sector.
     pub const SECTOR: [Self; 9] = [
         Self::Before,

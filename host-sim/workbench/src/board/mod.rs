@@ -11,13 +11,15 @@ mod native;
 pub mod qemu;
 pub mod serial;
 
-pub use client::{BoardShares, Client, LinkCount, TickReply};
+pub use client::{BoardShares, Client, TickReply};
 pub use foretorque_description::described::Described;
 pub use native::Native;
 
 use foretorque_link::bank::BankError;
 use foretorque_link::wire::{NackReason, PROTOCOL_VERSION, ResetReason};
+use std::cell::RefCell;
 use std::io;
+use std::rc::Rc;
 use std::time::Duration;
 
 /// A link that carries bytes to a board and back.
@@ -40,6 +42,24 @@ pub trait Transport {
     ///
     /// Errors: the link is gone; the error of a board that died has the reason.
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
+}
+
+impl<T: Transport> Transport for Rc<RefCell<T>> {
+    fn name(&self) -> String {
+        self.borrow().name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.borrow_mut().send(bytes)
+    }
+
+    fn keeps_time(&self) -> bool {
+        self.borrow().keeps_time()
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.borrow_mut().receive(buffer, timeout)
+    }
 }
 
 /// Why a conversation with a board failed.

@@ -4,7 +4,7 @@ use foretorque::learning::{ConfigError, Learner, LearnerConfig};
 use foretorque_link::session::{
     BoardDescription, Housekeeping, LocalSensor, Mailboxes, NoClock, NoLocalSensor, Session,
 };
-use foretorque_link::wire::{Capabilities, FrameBuffer};
+use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
 use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
@@ -29,6 +29,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
     /// Errors: the first limit of the arm that cannot work.
     pub fn new() -> Result<Self, ConfigError> {
         Self::described(BoardDescription::plain(NoClock), NoLocalSensor)
+    }
+
+    /// A board that has just restarted for `reset_reason`.
+    ///
+    /// Errors: the first limit of the arm that cannot work.
+    pub fn restarted(reset_reason: ResetReason) -> Result<Self, ConfigError> {
+        let board = BoardDescription {
+            reset_reason,
+            ..BoardDescription::plain(NoClock)
+        };
+        Self::described(board, NoLocalSensor)
     }
 
     /// A board with a timer, whose periods pass with [`timer`](Self::timer) alone.

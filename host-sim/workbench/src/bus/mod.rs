@@ -54,32 +54,6 @@ pub trait Network {
     }
 }
 
-impl<W: Network + ?Sized> Network for Box<W> {
-    fn name(&self) -> String {
-        (**self).name()
-    }
-
-    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
-        (**self).send(bus, frame)
-    }
-
-    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
-        (**self).receive()
-    }
-
-    fn wait(&mut self) -> Duration {
-        (**self).wait()
-    }
-
-    fn is_off(&self) -> bool {
-        (**self).is_off()
-    }
-
-    fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
-        (**self).ask(ask)
-    }
-}
-
 /// Reason for which an arm on a bus cannot be driven.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {

@@ -282,12 +282,9 @@ impl Layout {
 
     /// Places in this layout of the parameters of a poorer layout of the same robot.
     pub fn places_of(&self, poorer: &Self) -> Vec<usize> {
-        let place = |wanted: &Parameter| {
-            self.parameters
-                .iter()
-                .position(|own| own.name == wanted.name)
-        };
-        poorer.parameters.iter().filter_map(place).collect()
+        let place = |name: &String| self.parameters.iter().position(|own| own.name == *name);
+        let wanted = poorer.parameters.iter().map(|parameter| &parameter.name);
+        wanted.filter_map(place).collect()
     }
 
     /// Active columns of `joint` in a row of all joints' active columns.

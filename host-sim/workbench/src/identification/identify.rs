@@ -45,6 +45,27 @@ pub struct IdentifyConfig {
     pub test: Vec<PathBuf>,
 }
 
+impl IdentifyConfig {
+    /// Methods on filtered logs, and nothing else.
+    pub fn new(
+        methods: Vec<MethodName>,
+        columns: ColumnSet,
+        prepare: PrepareConfig,
+        seed: u64,
+    ) -> Self {
+        Self {
+            methods,
+            columns,
+            prepare,
+            fold_period_s: None,
+            gains_from_standstill: false,
+            seed,
+            truth: None,
+            test: Vec::new(),
+        }
+    }
+}
+
 /// Result of an identification.
 #[derive(Clone, Debug)]
 pub struct Outcome {

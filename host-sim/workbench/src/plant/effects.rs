@@ -5,14 +5,14 @@ use crate::dynamics::Joints;
 use crate::files::at;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// Effects of real drives. A field of 0 switches its effect off.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlantEffects {
     /// Twist of every gear under the joint's torque limit, mrad: its stiffness is limit over twist.
@@ -64,24 +64,6 @@ pub enum EffectsError {
 const DRIFT_PERIOD_S: f64 = 300.0;
 
 impl PlantEffects {
-    /// No effect.
-    pub const NONE: Self = Self {
-        twist_mrad: 0.0,
-        twist_damping: 0.0,
-        backlash_mrad: 0.0,
-        presliding_mrad: 0.0,
-        warm_viscous_fall: 0.0,
-        warm_up_s: 0.0,
-        torque_loop_gain: 0.0,
-        drive_gain_spread: 0.0,
-        torque_offset: 0.0,
-        torque_offset_drift: 0.0,
-        delay_ms: 0.0,
-        delay_jitter_ms: 0.0,
-        sampling_jitter_ms: 0.0,
-        torque_lag_ms: 0.0,
-    };
-
     /// The table in a TOML file.
     ///
     /// Errors: [`EffectsError`], one line that names the file.
@@ -99,26 +81,14 @@ impl PlantEffects {
 
     /// First value without a meaning.
     fn problem(&self) -> Option<&'static str> {
-        let values = [
-            self.twist_mrad,
-            self.twist_damping,
-            self.backlash_mrad,
-            self.presliding_mrad,
-            self.warm_up_s,
-            self.torque_loop_gain,
-            self.torque_offset,
-            self.torque_offset_drift,
-            self.delay_ms,
-            self.delay_jitter_ms,
-            self.sampling_jitter_ms,
-            self.torque_lag_ms,
-        ];
+        let values = serde_json::to_value(self).ok();
+        let values = values.as_ref().and_then(serde_json::Value::as_object);
+        // A number that is none becomes null.
+        let sound = |value: &serde_json::Value| value.as_f64().is_some_and(|value| value >= 0.0);
         let elastic = self.twist_mrad > 0.0;
         let checks = [
             (
-                values
-                    .iter()
-                    .all(|value| value.is_finite() && *value >= 0.0),
+                values.is_some_and(|values| values.values().all(sound)),
                 "every value must be a number and not negative",
             ),
             (

@@ -1,5 +1,5 @@
-//! Reports: figures as JSON, and one self-contained page that opens offline. A plot is drawn in placeholders for colours by
-//! meaning, which the page's style sheet or a picture's palette replaces.
+//! Reports: figures as JSON, and one self-contained page that opens offline. A plot is drawn in the colours of
+//! a light page, which the style sheet of a page maps to those by meaning.
 
 pub mod closed_loop;
 pub mod page;
@@ -55,6 +55,14 @@ impl ReportFiles {
     }
 }
 
+/// Writes figures as JSON.
+///
+/// Errors: the file's.
+pub fn write_json(path: &Path, figures: &impl Serialize) -> io::Result<()> {
+    let text = serde_json::to_string_pretty(figures)? + "\n";
+    write_whole(path, text.as_bytes())
+}
+
 /// Text made safe for HTML and SVG.
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
@@ -78,23 +86,7 @@ pub enum PlotColor {
     Joint(u8),
 }
 
-/// Placeholders of axes, grid and text; the page's style sheet translates them.
-pub(super) const AXIS: RGBColor = RGBColor(1, 1, 1);
-pub(super) const GRID: RGBColor = RGBColor(2, 2, 2);
-pub(super) const TEXT: RGBColor = RGBColor(3, 3, 3);
-
 impl PlotColor {
-    pub(super) fn placeholder(self) -> RGBColor {
-        let code = match self {
-            Self::Truth => 16,
-            Self::Before => 17,
-            Self::After => 18,
-            Self::Other => 19,
-            Self::Joint(joint) => 32 + joint % 8,
-        };
-        RGBColor(code, code, code)
-    }
-
     /// Name of the page's CSS variable for this colour.
     pub(super) fn variable(self) -> String {
         match self {
@@ -110,7 +102,7 @@ impl PlotColor {
 /// Name, light and dark of every colour of a page.
 const PALETTE: [(&str, &str, &str); 19] = [
     ("--page", "#fbfbfa", "#101418"),
-    ("--card", "#fff", "#171c22"),
+    ("--card", "#ffffff", "#171c22"),
     ("--text", "#1f2328", "#e6e9ed"),
     ("--quiet", "#59636e", "#9aa4af"),
     ("--axis", "#8c959f", "#6b7580"),
@@ -146,40 +138,20 @@ pub(super) fn variables() -> String {
     format!(":root{{{lights}}}\n@media (prefers-color-scheme:dark){{:root{{{darks}}}}}\n")
 }
 
-/// Every placeholder as written in a drawing, with its CSS variable.
-fn placeholders() -> impl Iterator<Item = (String, String)> {
-    let axes = [
-        (AXIS, "--axis".to_owned()),
-        (GRID, "--grid".to_owned()),
-        (TEXT, "--text".to_owned()),
-    ];
-    let named = [
-        PlotColor::Truth,
-        PlotColor::Before,
-        PlotColor::After,
-        PlotColor::Other,
-    ];
-    let colors = named.into_iter().chain((0..8).map(PlotColor::Joint));
-    let colors = colors.map(|color| (color.placeholder(), color.variable()));
-    axes.into_iter()
-        .chain(colors)
-        .map(|(RGBColor(r, g, b), variable)| (format!("#{r:02X}{g:02X}{b:02X}"), variable))
+/// The light colour of a variable, as a drawing has it.
+pub(super) fn rgb(variable: &str) -> RGBColor {
+    let code = u32::from_str_radix(&light(variable)[1..], 16).unwrap_or(0);
+    let [_, red, green, blue] = code.to_be_bytes();
+    RGBColor(red, green, blue)
 }
 
-/// CSS rules that map every placeholder to its variable.
+/// CSS rules that map the colours of a drawing to their variables.
 pub(super) fn style_sheet() -> String {
-    placeholders()
-        .map(|(hex, variable)| {
-            format!(
-                "svg [stroke=\"{hex}\"]{{stroke:var({variable})}}svg [fill=\"{hex}\"]{{fill:var({variable})}}\n"
-            )
-        })
-        .collect()
-}
-
-/// A drawing in the light colours, for viewers without style sheets.
-pub(super) fn coloured(drawing: &str) -> String {
-    placeholders().fold(drawing.to_owned(), |drawing, (hex, variable)| {
-        drawing.replace(&format!("\"{hex}\""), &format!("\"{}\"", light(&variable)))
-    })
+    let rule = |(name, light, _): (&str, &str, &str)| {
+        let hex = light.to_uppercase();
+        format!(
+            "svg [stroke=\"{hex}\"]{{stroke:var({name})}}svg [fill=\"{hex}\"]{{fill:var({name})}}\n"
+        )
+    };
+    PALETTE.into_iter().map(rule).collect()
 }

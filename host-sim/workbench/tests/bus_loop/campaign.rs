@@ -3,7 +3,7 @@
 use super::{Player, begin, path, player, profile};
 use foretorque_link::bus::{BusPhase, BusTick};
 use foretorque_link::safety::SafetyState;
-use foretorque_workbench::bus::sim::{LineFault, LineFaults};
+use foretorque_workbench::bus::sim::{LineFault, TimedFault};
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::Joints;
 
@@ -52,7 +52,7 @@ fn campaign(
     begin(&mut player, &path);
     if let Some((fault, for_s)) = fault {
         let at_s = player.network.t_s() + AT_S;
-        player.network.faults = LineFaults::one(fault, at_s..at_s + for_s);
+        player.network.fault = TimedFault::new(fault, at_s..at_s + for_s);
     }
     let joints = player.controller.config().joints;
     let steps = joints.map(|joint| f64::from(joint.drive.torque_resolution()));

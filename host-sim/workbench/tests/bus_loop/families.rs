@@ -3,7 +3,7 @@
 use super::{path, player, profile, tracking_mrad};
 use foretorque_link::drives::{Cia402, ControlMode, Moteus, Odrive, Protocol, Ranges, Resolution};
 use foretorque_workbench::bus::Profile;
-use foretorque_workbench::bus::sim::{DriveTruth, LineFault, LineFaults, SimulatedDrive};
+use foretorque_workbench::bus::sim::{DriveTruth, LineFault, SimulatedDrive, TimedFault};
 
 /// Gear, torque and gains of the drives of `profile`, over another protocol.
 fn spoken(profile: &Profile, protocol: impl Fn(Ranges) -> Protocol) -> Profile {
@@ -107,7 +107,7 @@ fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque
             let mut faulty = player(&profile, &path, true);
             faulty.arm().expect("it arms");
             let t_s = faulty.network.t_s();
-            faulty.network.faults = LineFaults::one(fault, t_s + 0.1..1e9);
+            faulty.network.fault = TimedFault::new(fault, t_s + 0.1..1e9);
             let failed = faulty.approach(&path.at(0.0).q).expect_err("a fault");
             assert_eq!(failed.to_string(), message, "{name}");
             for _ in 0..30 {

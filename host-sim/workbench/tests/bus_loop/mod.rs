@@ -8,7 +8,7 @@ use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use foretorque::learning::ParameterSet;
 use foretorque_link::drives::{DriveState, Protocol};
-use foretorque_workbench::bus::sim::{LineFault, LineFaults, SimulatedNetwork, plant_config};
+use foretorque_workbench::bus::sim::{LineFault, SimulatedNetwork, TimedFault, plant_config};
 use foretorque_workbench::bus::{BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::Joints;
@@ -151,7 +151,7 @@ fn arming_that_fails_switches_every_drive_off_again() {
         for fault in [LineFault::LostCommands(4, 1.0), LineFault::DriveFault(1, 9)] {
             let mut player = player(&profile, &path, true);
             let from_s = f64::from(period) * 2e-3;
-            player.network.faults = LineFaults::one(fault, from_s..1e9);
+            player.network.fault = TimedFault::new(fault, from_s..1e9);
             if player.arm().is_err() {
                 // The watchdog of a drive that no command reaches ends its torque.
                 let reached = (0..6).filter(|joint| fault != LineFault::LostCommands(*joint, 1.0));

@@ -1,6 +1,6 @@
 //! The board in line between a host and six drives.
 
-use super::{Emulated, FrameBoard, PATIENCE, Ported, SAMPLE_BYTES, Twin, profile, wiring};
+use super::{Emulated, FrameBoard, PATIENCE, Ported, Twin, connected, profile, wiring};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::JointSample;
 use foretorque_link::bus::{Role, Wiring};
@@ -8,11 +8,10 @@ use foretorque_link::drives::{
     Carry, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply, Request,
 };
 use foretorque_link::safety::SafetyState;
-use foretorque_workbench::board::{Client, Transport};
+use foretorque_workbench::board::Client;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::{Joints, State};
 use std::cell::RefCell;
-use std::io;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -49,34 +48,31 @@ fn traffic(wiring: &Wiring<JOINTS>, period: u32) -> Ported {
     ported
 }
 
-/// A board in line: each sample of the host begins with a period of traffic.
-struct OnLine<B> {
-    board: B,
-    wiring: Wiring<JOINTS>,
-    rounds: Rc<RefCell<Rounds>>,
-}
-
 /// Frames that came in each period, and those that left for it.
 type Rounds = Vec<(Ported, Ported)>;
 
-impl<B: FrameBoard> Transport for OnLine<B> {
-    fn name(&self) -> String {
-        self.board.name()
-    }
+/// The client of a board in line: each sample of the host begins with a period of traffic, after a `change` of it that says
+/// whether the sample reaches the board.
+fn on_line<B: FrameBoard + 'static>(
+    board: B,
+    wiring: &Wiring<JOINTS>,
+    rounds: &Rc<RefCell<Rounds>>,
+    mut change: impl FnMut(&mut B, usize, &mut Ported) -> bool + 'static,
+) -> Client<JOINTS> {
+    let (wiring, rounds) = (wiring.clone(), Rc::clone(rounds));
+    connected(board, move |board| {
+        let mut rounds = rounds.borrow_mut();
+        let mut came = traffic(&wiring, rounds.len() as u32);
+        let passes = change(board, rounds.len(), &mut came);
+        board.deliver(&came);
+        rounds.push((came, board.left()));
+        passes
+    })
+}
 
-    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        if bytes.len() > SAMPLE_BYTES {
-            let mut rounds = self.rounds.borrow_mut();
-            let came = traffic(&self.wiring, rounds.len() as u32);
-            self.board.deliver(&came);
-            rounds.push((came, self.board.left()));
-        }
-        self.board.send(bytes)
-    }
-
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.board.receive(buffer, timeout)
-    }
+fn drives(wiring: &Wiring<JOINTS>) -> Vec<DriveProfile> {
+    let joints = wiring.joints.iter().flatten();
+    joints.map(|joint| joint.drive).collect()
 }
 
 fn of_port(frames: &Ported, port: u8) -> Vec<Frame> {
@@ -87,14 +83,7 @@ fn of_port(frames: &Ported, port: u8) -> Vec<Frame> {
 /// Arms a board in line and stops it again; the frames that have left. Only torques of commands differ, by the board's.
 fn pass(board: impl FrameBoard + 'static, wiring: &Wiring<JOINTS>) -> Rounds {
     let rounds = Rc::new(RefCell::new(Rounds::new()));
-    let on_line = OnLine {
-        board,
-        wiring: wiring.clone(),
-        rounds: Rc::clone(&rounds),
-    };
-    let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(on_line), PATIENCE)
-        .unwrap_or_else(|error| panic!("{error}"));
-    client.set_timeout(PATIENCE);
+    let mut client = on_line(board, wiring, &rounds, |_, _, _| true);
     // The motion that passes takes the place of this one.
     let idle = idle();
     let mut torques = std::collections::BTreeMap::new();
@@ -113,7 +102,7 @@ fn pass(board: impl FrameBoard + 'static, wiring: &Wiring<JOINTS>) -> Rounds {
         }
     }
     assert!(torques.len() > 20 && torques.values().any(|torque| torque.amax() > 10.0));
-    let drives: Vec<DriveProfile> = wiring.joints.iter().flatten().map(|j| j.drive).collect();
+    let drives = drives(wiring);
     let rounds = rounds.borrow().clone();
     let mut changed = 0;
     for (period, (came, left)) in rounds.iter().enumerate() {
@@ -221,47 +210,25 @@ enum Fault {
 /// Period of 1 ms in which the fault begins, that from which on every frame passes unchanged, and the last one.
 const FAULT: [usize; 3] = [60, 170, 260];
 
-/// A board in line with a fault.
-struct Faulty {
-    line: OnLine<Twin>,
-    fault: Fault,
-}
-
-impl Transport for Faulty {
-    fn name(&self) -> String {
-        self.line.name()
-    }
-
-    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let OnLine {
-            board,
-            wiring,
-            rounds,
-        } = &mut self.line;
-        if bytes.len() <= SAMPLE_BYTES {
-            return board.send(bytes);
-        }
-        let mut rounds = rounds.borrow_mut();
-        let (period, drives) = (rounds.len(), wiring.joints.iter().flatten());
-        let drives: Vec<DriveProfile> = drives.map(|joint| joint.drive).collect();
-        let begun = period >= FAULT[0];
-        let mut came = traffic(wiring, period as u32);
+impl Fault {
+    /// Changes the traffic of a period after the begin of the fault.
+    fn disturb(self, drives: &[DriveProfile], period: usize, came: &mut Ported) {
         let is_command = |frame: &Frame| {
             let mut drives = drives.iter();
             drives.any(|drive| matches!(drive.accept(frame), Some(Request::Command(_))))
         };
-        match self.fault {
-            Fault::HostSilent if begun && period < FAULT[0] + 110 => {
+        match self {
+            Self::HostSilent if period < FAULT[0] + 110 => {
                 came.retain(|(port, frame)| *port == 1 || !is_command(frame));
             }
-            Fault::DriveSilent if begun => {
+            Self::DriveSilent => {
                 came.retain(|(port, frame)| *port == 0 || drives[2].decode(frame).is_none());
             }
-            Fault::DrivesOff if begun => came.retain(|(port, _)| *port == 0),
-            Fault::Reports(_) | Fault::StuckReply | Fault::WrongIdentifier if begun => {
-                let (state, by) = match self.fault {
-                    Fault::Reports(state) => (state, 2),
-                    Fault::WrongIdentifier => (DriveState::Enabled, 3),
+            Self::DrivesOff => came.retain(|(port, _)| *port == 0),
+            Self::Reports(_) | Self::StuckReply | Self::WrongIdentifier => {
+                let (state, by) = match self {
+                    Self::Reports(state) => (state, 2),
+                    Self::WrongIdentifier => (DriveState::Enabled, 3),
                     _ => (DriveState::Enabled, 2),
                 };
                 let reply = JointReply {
@@ -277,11 +244,11 @@ impl Transport for Faulty {
                     .filter(|(port, frame)| *port == 1 && drives[2].decode(frame).is_some());
                 replies.for_each(|(_, frame)| *frame = frames[0]);
             }
-            Fault::Babble if begun => {
+            Self::Babble => {
                 came.retain(|(port, _)| *port == 0);
                 came.extend([(1, Frame::standard(0, &[0; 8])); 12]);
             }
-            Fault::Jump if begun => {
+            Self::Jump => {
                 let jump = JointCommand {
                     position: 1.0,
                     ..JointCommand::default()
@@ -297,17 +264,6 @@ impl Transport for Faulty {
             }
             _ => {}
         }
-        board.now += 1;
-        board.deliver(&came);
-        rounds.push((came, board.left()));
-        if self.fault == Fault::Hung && begun {
-            return Ok(());
-        }
-        board.send(bytes)
-    }
-
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.line.receive(buffer, timeout)
     }
 }
 
@@ -332,14 +288,20 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
         Fault::Babble,
     ] {
         let rounds = Rc::new(RefCell::new(Rounds::new()));
-        let line = OnLine {
-            board: Twin::new(&wiring),
-            wiring: wiring.clone(),
-            rounds: Rc::clone(&rounds),
-        };
-        let board = Box::new(Faulty { line, fault });
-        let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(board, PATIENCE)
-            .unwrap_or_else(|error| panic!("{error}"));
+        let drives = drives(&wiring);
+        let mut client = on_line(
+            Twin::new(&wiring),
+            &wiring,
+            &rounds,
+            move |board, period, came| {
+                board.now += 1;
+                let begun = period >= FAULT[0];
+                if begun {
+                    fault.disturb(&drives, period, came);
+                }
+                !begun || fault != Fault::Hung
+            },
+        );
         client.set_timeout(Duration::from_millis(1));
         let idle = idle();
         while rounds.borrow().len() < FAULT[2] {

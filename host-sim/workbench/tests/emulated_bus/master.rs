@@ -1,8 +1,6 @@
 //! The board as master of six simulated drives.
 
-use super::{
-    Emulated, FrameBoard, PATIENCE, Ported, SAMPLE_BYTES, Twin, network, path, profile, wiring,
-};
+use super::{Emulated, FrameBoard, Ported, Twin, connected, network, path, profile, wiring};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::learning::ParameterSet;
@@ -10,46 +8,11 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_link::bus::Role;
 use foretorque_link::safety::SafetyState;
 use foretorque_link::wire::Configuration;
-use foretorque_workbench::board::{Client, Transport};
 use foretorque_workbench::bus::Network as _;
-use foretorque_workbench::bus::sim::SimulatedNetwork;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::plant::{Events, PlantConfig};
 use std::cell::RefCell;
-use std::io;
 use std::rc::Rc;
-use std::time::Duration;
-
-/// A master and its simulated drives: each sample of the host begins with a period of theirs.
-struct OnBus<B> {
-    board: B,
-    network: Rc<RefCell<SimulatedNetwork<JOINTS>>>,
-    sent: Rc<RefCell<Ported>>,
-}
-
-impl<B: FrameBoard> Transport for OnBus<B> {
-    fn name(&self) -> String {
-        self.board.name()
-    }
-
-    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        if bytes.len() > SAMPLE_BYTES {
-            let mut network = self.network.borrow_mut();
-            for (bus, frame) in self.board.left() {
-                network.send(bus, &frame).expect("it is simulated");
-                self.sent.borrow_mut().push((bus, frame));
-            }
-            network.wait();
-            let replies = std::iter::from_fn(|| network.receive().expect("it is simulated"));
-            self.board.deliver(&replies.collect::<Vec<_>>());
-        }
-        self.board.send(bytes)
-    }
-
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.board.receive(buffer, timeout)
-    }
-}
 
 /// Result of a ride: torques as the board replied, frames it sent, tracking error over the last 6 s.
 struct Ride {
@@ -64,15 +27,23 @@ fn ride(board: impl FrameBoard + 'static, rate_hz: f64, duration_s: f64, forward
     let profile = profile(rate_hz);
     let path = path(40.0);
     let network = network(&profile, &path, PlantConfig::default(), Events::default());
-    let (network, sent) = (Rc::new(RefCell::new(network)), Rc::default());
-    let on_bus = OnBus {
-        board,
-        network: Rc::clone(&network),
-        sent: Rc::clone(&sent),
-    };
-    let mut client = Client::connect::<Ur5, PARAMETERS>(Box::new(on_bus), PATIENCE)
-        .unwrap_or_else(|error| panic!("{error}"));
-    client.set_timeout(PATIENCE);
+    let (network, sent) = (
+        Rc::new(RefCell::new(network)),
+        Rc::<RefCell<Ported>>::default(),
+    );
+    let (drives, log) = (Rc::clone(&network), Rc::clone(&sent));
+    // Each sample of the host begins with a period of the drives.
+    let mut client = connected(board, move |board| {
+        let mut drives = drives.borrow_mut();
+        for (bus, frame) in board.left() {
+            drives.send(bus, &frame).expect("it is simulated");
+            log.borrow_mut().push((bus, frame));
+        }
+        drives.wait();
+        let replies = std::iter::from_fn(|| drives.receive().expect("it is simulated"));
+        board.deliver(&replies.collect::<Vec<_>>());
+        true
+    });
     let period_us = (1e6 / rate_hz) as u32;
     let configuration = Configuration {
         period_us,

@@ -12,7 +12,7 @@ use foretorque_link::drives::Frame;
 use foretorque_link::drives::in_line::InLine;
 use foretorque_link::drives::text::{Direction, read_line, write_line};
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
-use foretorque_workbench::board::{Native, Transport};
+use foretorque_workbench::board::{Client, Native, Transport};
 use foretorque_workbench::bus::Profile;
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -36,6 +36,41 @@ trait FrameBoard: Transport {
     fn deliver(&mut self, frames: &[(u8, Frame)]);
     /// Frames that have left.
     fn left(&mut self) -> Ported;
+}
+
+/// A board before whose samples something happens on its ports.
+struct Ticked<B, F> {
+    board: B,
+    before: F,
+}
+
+impl<B: FrameBoard, F: FnMut(&mut B) -> bool> Transport for Ticked<B, F> {
+    fn name(&self) -> String {
+        self.board.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        match bytes.len() > SAMPLE_BYTES && !(self.before)(&mut self.board) {
+            true => Ok(()),
+            false => self.board.send(bytes),
+        }
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.board.receive(buffer, timeout)
+    }
+}
+
+/// The client of `board`; `before` is called before each sample, and says whether that reaches the board.
+fn connected<B: FrameBoard + 'static>(
+    board: B,
+    before: impl FnMut(&mut B) -> bool + 'static,
+) -> Client<JOINTS> {
+    let board = Box::new(Ticked { board, before });
+    let client = Client::connect::<Ur5, PARAMETERS>(board, PATIENCE);
+    let mut client = client.unwrap_or_else(|error| panic!("{error}"));
+    client.set_timeout(PATIENCE);
+    client
 }
 
 /// The twin in this process.

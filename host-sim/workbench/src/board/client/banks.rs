@@ -110,19 +110,10 @@ impl<const N: usize> Client<N> {
 
     /// Has the board keep its parameters over power-off. The board is disarmed; learning must be off.
     pub fn save(&mut self) -> Result<(), BoardError> {
-        self.at_the_store(&HostMessage::Save)
-    }
-
-    /// Has the board take over its stored parameters. The board is disarmed; learning must be off.
-    pub fn restore(&mut self) -> Result<(), BoardError> {
-        self.at_the_store(&HostMessage::Restore)
-    }
-
-    /// Not asked twice: what the store was asked for it does, however long it takes.
-    pub(super) fn at_the_store(&mut self, message: &HostMessage<N>) -> Result<(), BoardError> {
         self.bring_to_rest()?;
-        self.unlock(message)?;
-        let sequence = self.post(message)?;
+        self.unlock(&HostMessage::Save)?;
+        // Not asked twice: what the store was asked for it does, however long it takes.
+        let sequence = self.post(&HostMessage::Save)?;
         acknowledged(self.wait_for(sequence, STORE_TIMEOUT)?)
     }
 

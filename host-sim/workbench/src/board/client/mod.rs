@@ -6,7 +6,6 @@ use super::{BoardError, Transport};
 use foretorque::arm::Arm;
 use foretorque::feedforward::{Shares, Torque};
 use foretorque::joint::{JointMotion, JointVector};
-use foretorque::learning::Request;
 use foretorque::limits::Flags;
 use foretorque_link::excitation::ExcitationState;
 use foretorque_link::safety::SafetyStatus;
@@ -44,21 +43,6 @@ pub struct TickReply<const N: usize> {
     pub excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
-/// Counts of the link, seen from the host.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LinkCount {
-    /// Frames sent.
-    pub sent: u64,
-    /// Good frames received.
-    pub received: u64,
-    /// Damaged or foreign frames received.
-    pub errors: u64,
-    /// Good frames that answered no open question.
-    pub stray: u64,
-    /// Questions that found no answer in time.
-    pub timeouts: u64,
-}
-
 /// Speaks the protocol with a board of `N` joints over any [`Transport`].
 pub struct Client<const N: usize> {
     transport: Box<dyn Transport>,
@@ -73,7 +57,6 @@ pub struct Client<const N: usize> {
     period: u8,
     /// Answers come after the learning step.
     patient: bool,
-    count: LinkCount,
     hello: BoardHello,
     /// Safety state of the last reply.
     safety: SafetyStatus,
@@ -115,7 +98,6 @@ impl<const N: usize> Client<N> {
             bytes: Vec::new(),
             next: 0,
             timeout: Duration::from_secs(2),
-            count: LinkCount::default(),
             hello: nobody(),
             safety: SafetyStatus::default(),
             presented: None,
@@ -161,18 +143,6 @@ impl<const N: usize> Client<N> {
     /// Identity from the board's hello.
     pub fn hello(&self) -> &BoardHello {
         &self.hello
-    }
-
-    /// Counts of the link so far.
-    pub fn link_count(&self) -> LinkCount {
-        self.count
-    }
-
-    /// Asks the board's learner; what comes of it is among its decisions.
-    pub fn request(&mut self, request: Request) -> Result<(), BoardError> {
-        self.command(&HostMessage::Request {
-            code: request as u8,
-        })
     }
 
     /// Has the board stream `fields`, a sum of [`Field`](foretorque_link::wire::Field) bits, of every `every`-th tick.

@@ -82,11 +82,6 @@ impl SimulatedDrive {
         }
     }
 
-    /// Command that it follows.
-    pub fn command(&self) -> &JointCommand {
-        &self.command
-    }
-
     /// Stiffness and damping in force, N·m/rad and N·m·s/rad.
     pub fn gains(&self) -> (f64, f64) {
         match self.truth.profile.carries_gains() {
@@ -102,11 +97,6 @@ impl SimulatedDrive {
             Protocol::Cia402(cia402) => cia402.mode == ControlMode::Position,
             _ => false,
         }
-    }
-
-    /// Torque that it makes, N·m at the joint.
-    pub fn torque(&self) -> f64 {
-        self.torque
     }
 
     /// Starts over, as after a break of its supply.

@@ -38,82 +38,56 @@ pub enum LineFault {
     Overload(usize, f64),
 }
 
-/// Faults with their times, s.
+/// A fault with its time, s, and the frames that it holds.
 #[derive(Clone, Debug, Default)]
-pub struct LineFaults {
-    /// The faults.
-    pub list: Vec<(Range<f64>, LineFault)>,
+pub struct TimedFault {
+    fault: Option<(LineFault, Range<f64>)>,
     late: std::collections::VecDeque<Frame>,
     stuck: Option<Frame>,
 }
 
-impl LineFaults {
-    /// One fault, in force in `time_s`, s.
-    pub fn one(fault: LineFault, time_s: Range<f64>) -> Self {
+impl TimedFault {
+    /// A fault in force in `time_s`, s.
+    pub fn new(fault: LineFault, time_s: Range<f64>) -> Self {
         Self {
-            list: vec![(time_s, fault)],
+            fault: Some((fault, time_s)),
             ..Self::default()
         }
     }
 
-    fn active(&self, now_s: f64) -> impl Iterator<Item = LineFault> {
-        let active = self
-            .list
-            .iter()
-            .filter(move |(time_s, _)| time_s.contains(&now_s));
-        active.map(|(_, fault)| *fault)
+    fn active(&self, now_s: f64) -> Option<LineFault> {
+        let (fault, time_s) = self.fault.as_ref()?;
+        time_s.contains(&now_s).then_some(*fault)
     }
 
-    fn beginning(&self, now_s: f64, step_s: f64) -> impl Iterator<Item = LineFault> {
-        let begins =
-            move |time_s: &Range<f64>| (time_s.start..time_s.start + step_s).contains(&now_s);
-        let beginning = self.list.iter().filter(move |(time_s, _)| begins(time_s));
-        beginning.map(|(_, fault)| *fault)
-    }
-
-    pub(super) fn resets(&self, now_s: f64, step_s: f64) -> Vec<usize> {
-        self.beginning(now_s, step_s)
-            .filter_map(|fault| match fault {
-                LineFault::Reset(joint) => Some(joint),
-                _ => None,
-            })
-            .collect()
-    }
-
-    pub(super) fn drive_faults(&self, now_s: f64, step_s: f64) -> Vec<(usize, u32)> {
-        self.beginning(now_s, step_s)
-            .filter_map(|fault| match fault {
-                LineFault::DriveFault(joint, code) => Some((joint, code)),
-                _ => None,
-            })
-            .collect()
+    /// The fault, if it begins in the step.
+    pub(super) fn beginning(&self, now_s: f64, step_s: f64) -> Option<LineFault> {
+        let (fault, time_s) = self.fault.as_ref()?;
+        let begins = (time_s.start..time_s.start + step_s).contains(&now_s);
+        begins.then_some(*fault)
     }
 
     pub(super) fn bus_is_off(&self, bus: usize, now_s: f64) -> bool {
-        self.active(now_s)
-            .any(|fault| fault == LineFault::BusOff(bus))
+        self.active(now_s) == Some(LineFault::BusOff(bus))
     }
 
     pub(super) fn is_dead(&self, joint: usize, now_s: f64) -> bool {
-        self.active(now_s)
-            .any(|fault| fault == LineFault::Dead(joint))
+        self.active(now_s) == Some(LineFault::Dead(joint))
     }
 
     pub(super) fn babble(&self, bus: usize, now_s: f64) -> Option<Frame> {
-        self.active(now_s).find_map(|fault| match fault {
-            LineFault::Babble(on, id) if on == bus => Some(Frame::standard(id, &[0; 8])),
+        match self.active(now_s) {
+            Some(LineFault::Babble(on, id)) if on == bus => Some(Frame::standard(id, &[0; 8])),
             _ => None,
-        })
+        }
     }
 
     /// Share of the bit rate that is left.
     pub(super) fn speed(&self, bus: usize, now_s: f64) -> f64 {
-        self.active(now_s)
-            .find_map(|fault| match fault {
-                LineFault::Overload(on, share) if on == bus => Some(share),
-                _ => None,
-            })
-            .unwrap_or(1.0)
+        match self.active(now_s) {
+            Some(LineFault::Overload(on, share)) if on == bus => share,
+            _ => 1.0,
+        }
     }
 
     /// Number of times that a command reaches the drive of `joint`.
@@ -123,11 +97,13 @@ impl LineFaults {
         now_s: f64,
         random: &mut ChaCha8Rng,
     ) -> usize {
-        self.active(now_s).fold(1, |copies, fault| match fault {
-            LineFault::LostCommands(of, share) if of == joint && random.random_bool(share) => 0,
-            LineFault::DoubledCommands(of) if of == joint => 2,
-            _ => copies,
-        })
+        match self.active(now_s) {
+            Some(LineFault::LostCommands(of, share)) if of == joint => {
+                usize::from(!random.random_bool(share))
+            }
+            Some(LineFault::DoubledCommands(of)) if of == joint => 2,
+            _ => 1,
+        }
     }
 
     /// Frames that arrive at the host in the place of `frame`.
@@ -138,39 +114,36 @@ impl LineFaults {
         now_s: f64,
         random: &mut ChaCha8Rng,
     ) -> Vec<Frame> {
-        let active: Vec<LineFault> = self.active(now_s).collect();
-        let mut copies = 1;
-        for fault in active {
-            match fault {
-                LineFault::LostReplies(of, share) if of == joint => {
-                    copies *= usize::from(!random.random_bool(share));
-                }
-                LineFault::DoubledReplies(of) if of == joint => copies *= 2,
-                LineFault::StuckReply(of) if of == joint => {
-                    frame = *self.stuck.get_or_insert(frame);
-                }
-                LineFault::WrongIdentifier(of, byte) if of == joint => {
-                    if let Some(first) = frame.bytes_mut().first_mut() {
-                        *first = *first & 0xf0 | byte;
-                    }
-                }
-                LineFault::FlippedBits(of, share) if of == joint && random.random_bool(share) => {
-                    // Position or torque: the first five bytes behind the identifier.
-                    let place = random.random_range(1..6);
-                    if let Some(byte) = frame.bytes_mut().get_mut(place) {
-                        *byte ^= 1 << random.random_range(0..8);
-                    }
-                }
-                LineFault::LateReplies(of, replies) if of == joint => {
-                    self.late.push_back(frame);
-                    if self.late.len() <= replies {
-                        return Vec::new();
-                    }
-                    frame = self.late.pop_front().unwrap_or(frame);
-                }
-                _ => {}
+        match self.active(now_s) {
+            Some(LineFault::LostReplies(of, share)) if of == joint => {
+                let arrives = !random.random_bool(share);
+                return vec![frame; usize::from(arrives)];
             }
+            Some(LineFault::DoubledReplies(of)) if of == joint => return vec![frame; 2],
+            Some(LineFault::StuckReply(of)) if of == joint => {
+                frame = *self.stuck.get_or_insert(frame);
+            }
+            Some(LineFault::WrongIdentifier(of, byte)) if of == joint => {
+                if let Some(first) = frame.bytes_mut().first_mut() {
+                    *first = *first & 0xf0 | byte;
+                }
+            }
+            Some(LineFault::FlippedBits(of, share)) if of == joint && random.random_bool(share) => {
+                // Position or torque: the first five bytes behind the identifier.
+                let place = random.random_range(1..6);
+                if let Some(byte) = frame.bytes_mut().get_mut(place) {
+                    *byte ^= 1 << random.random_range(0..8);
+                }
+            }
+            Some(LineFault::LateReplies(of, replies)) if of == joint => {
+                self.late.push_back(frame);
+                if self.late.len() <= replies {
+                    return Vec::new();
+                }
+                frame = self.late.pop_front().unwrap_or(frame);
+            }
+            _ => {}
         }
-        vec![frame; copies]
+        vec![frame]
     }
 }

@@ -8,7 +8,7 @@ mod drive;
 mod faults;
 
 pub use drive::{COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, SimulatedDrive};
-pub use faults::{LineFault, LineFaults};
+pub use faults::{LineFault, TimedFault};
 
 use super::{Ask, BusError, Network};
 use super::{BitRates, frame_time_s};
@@ -46,8 +46,8 @@ pub struct SimulatedNetwork<const N: usize> {
     pub plant: Plant<N>,
     /// The drives, base to tool.
     pub drives: [SimulatedDrive; N],
-    /// Faults of bus and drives.
-    pub faults: LineFaults,
+    /// Fault of bus or drives.
+    pub fault: TimedFault,
     /// Largest torque that each drive has made, N × N·m.
     pub peak_nm: Joints<N>,
     rates: BitRates,
@@ -84,7 +84,7 @@ impl<const N: usize> SimulatedNetwork<N> {
         Self {
             plant,
             drives,
-            faults: LineFaults::default(),
+            fault: TimedFault::default(),
             peak_nm: Joints::zeros(),
             rates,
             lines: Default::default(),
@@ -115,11 +115,10 @@ impl<const N: usize> SimulatedNetwork<N> {
     /// One period of the drives.
     fn step(&mut self) {
         let t_s = self.t_s();
-        for j in self.faults.resets(t_s, DRIVE_PERIOD_S) {
-            self.drives[j].reset();
-        }
-        for (j, code) in self.faults.drive_faults(t_s, DRIVE_PERIOD_S) {
-            self.drives[j].state = DriveState::Fault(code);
+        match self.fault.beginning(t_s, DRIVE_PERIOD_S) {
+            Some(LineFault::Reset(j)) => self.drives[j].reset(),
+            Some(LineFault::DriveFault(j, code)) => self.drives[j].state = DriveState::Fault(code),
+            _ => {}
         }
         let q = *self.plant.q();
         let tau = Joints::from_fn(|j, _| self.drives[j].step(q[j]));
@@ -150,10 +149,10 @@ impl<const N: usize> SimulatedNetwork<N> {
     fn carry(&mut self, bus: usize) {
         let now_s = self.t_s();
         let rates = BitRates {
-            nominal: self.rates.nominal * self.faults.speed(bus, now_s),
+            nominal: self.rates.nominal * self.fault.speed(bus, now_s),
             ..self.rates
         };
-        if let Some(frame) = self.faults.babble(bus, now_s) {
+        if let Some(frame) = self.fault.babble(bus, now_s) {
             self.lines[bus].waiting.push_front((now_s, None, frame));
         }
         while let Some(&(since_s, sender, frame)) = self.lines[bus].waiting.front() {
@@ -172,15 +171,15 @@ impl<const N: usize> SimulatedNetwork<N> {
 
     fn reach_drives(&mut self, bus: usize, frame: &Frame) {
         let now_s = self.t_s();
-        if self.faults.bus_is_off(bus, now_s) {
+        if self.fault.bus_is_off(bus, now_s) {
             return;
         }
         let q = *self.plant.q();
         for j in 0..N {
-            if usize::from(self.drives[j].truth.bus) != bus || self.faults.is_dead(j, now_s) {
+            if usize::from(self.drives[j].truth.bus) != bus || self.fault.is_dead(j, now_s) {
                 continue;
             }
-            let copies = self.faults.command_copies(j, now_s, &mut self.random);
+            let copies = self.fault.command_copies(j, now_s, &mut self.random);
             for _ in 0..copies {
                 let answer = self.drives[j].take(frame, q[j], &mut self.random);
                 for reply in answer.into_iter().rev() {
@@ -192,10 +191,10 @@ impl<const N: usize> SimulatedNetwork<N> {
 
     fn reach_host(&mut self, bus: usize, joint: usize, frame: Frame) {
         let now_s = self.t_s();
-        if self.faults.bus_is_off(bus, now_s) {
+        if self.fault.bus_is_off(bus, now_s) {
             return;
         }
-        let arrived = self.faults.reply(joint, frame, now_s, &mut self.random);
+        let arrived = self.fault.reply(joint, frame, now_s, &mut self.random);
         self.inbox
             .extend(arrived.into_iter().map(|frame| (bus as u8, frame)));
     }
@@ -231,7 +230,7 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
     }
 
     fn is_off(&self) -> bool {
-        (0..self.lines.len()).any(|bus| self.faults.bus_is_off(bus, self.t_s()))
+        (0..self.lines.len()).any(|bus| self.fault.bus_is_off(bus, self.t_s()))
     }
 
     fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {

@@ -3,6 +3,7 @@
 use crate::closed_loop::TickRecord;
 use crate::dynamics::Joints;
 use crate::robot::Robot;
+use crate::telemetry::numbers;
 use foretorque::learning::Reason;
 use foretorque::limits::Flags;
 use foretorque_link::safety::{SafetyState, SafetyStatus};
@@ -146,17 +147,15 @@ impl<const N: usize> Health<N> {
         for frame in frames {
             let t_s = f64::from(frame.tick) * period_s;
             for (field, bytes) in frame.fields(N) {
-                let word = |place: usize| bytes.get(place..place + 4)?.try_into().ok();
+                let values = numbers(field, bytes);
                 match field {
                     Field::Quality => {
-                        let trust = word(0).map_or(f32::NAN, f32::from_le_bytes);
+                        let trust = values[0] as f32;
                         let least = self.learnt.trust.map_or(trust, |[least, _]| least);
                         self.learnt.trust = Some([least.min(trust), trust]);
                     }
                     Field::Decision => {
-                        let count = word(0).map_or(0, u32::from_le_bytes);
-                        let code = bytes.get(4).copied().unwrap_or(0);
-                        self.decision(count, code, t_s, every_s);
+                        self.decision(values[0] as u32, values[1] as u8, t_s, every_s);
                     }
                     _ => {}
                 }

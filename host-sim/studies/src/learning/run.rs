@@ -1,0 +1,211 @@
+//! One run of an arm in closed loop, and what is kept of it.
+
+use super::PERIOD_S;
+use super::batch::Rows;
+use super::job::Bench;
+use super::world::Source;
+use crate::StudyError;
+use foretorque::arm::Arm;
+use foretorque::feedforward::evaluate;
+use foretorque::joint::JointMeasurement;
+use foretorque_link::bank::ParameterBank;
+use foretorque_link::safety::SafetyState;
+use foretorque_link::wire::{Field, TelemetryFrame};
+use foretorque_workbench::board::{Client, Native};
+use foretorque_workbench::closed_loop::{Answer, ClosedLoop, motion_f32};
+use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::metrics::{MOVING_RAD_S, TrackingError};
+use foretorque_workbench::plant::Plant;
+use foretorque_workbench::telemetry::numbers;
+use foretorque_workbench::trajectory::Trajectory;
+use std::time::Duration;
+
+/// Ticks between two comparisons of torques, and between two looks at the unseen path.
+const EVERY: usize = 5;
+const LOOK: usize = 500;
+/// Rows this soon after a payload changes are in no window, s.
+const GRACE_S: f64 = 2.5;
+/// Time from a pick to the look at its mass, s.
+const WEIGHED_S: f64 = 3.0;
+/// Length of the windows, s.
+const WINDOW_S: usize = 10;
+/// Codes that are false on undisturbed motion: an alarm of change detection, a payload.
+const DISTURBED: [u8; 2] = [1, 2];
+
+/// Errors of one second, squares in units of the joints' scale: learnt, start, and values.
+type Second = [f64; 3];
+
+/// Record of one run.
+pub(super) struct Trace<const N: usize> {
+    pub(super) seconds: Vec<Second>,
+    pub(super) tracking: TrackingError<N>,
+    pub(super) alarms: u32,
+    /// Payload mass the board reports, kg, by tick of the look.
+    pub(super) weighed: Vec<f64>,
+    pub(super) curve: Vec<(f64, f64)>,
+    pub(super) rows: Rows<N>,
+    pub(super) armed: bool,
+}
+
+impl<const N: usize> Trace<N> {
+    /// Learnt error over that of the start on every window with motion.
+    pub(super) fn windows(&self) -> Vec<f64> {
+        let windows = self.seconds.windows(WINDOW_S).map(|window| {
+            let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
+            (sum(0) / sum(1)).sqrt()
+        });
+        windows.filter(|ratio| ratio.is_finite()).collect()
+    }
+}
+
+impl<const N: usize> Bench<N> {
+    /// Mean tracking error in the second half of `path`, mrad, with the torques that a perfect model of the measured ones
+    /// would predict as feed-forward.
+    pub(super) fn truth_tracking(
+        &self,
+        mut plant: Plant<N>,
+        source: Source,
+        path: &Trajectory<N>,
+        ticks: usize,
+    ) -> Result<f64, StudyError> {
+        let pd = &self.pd[usize::from(source == Source::Link)];
+        let mut play = ClosedLoop::new(&mut plant, pd, path, PERIOD_S, None)?;
+        let mut tracking = TrackingError::default();
+        for tick in 0..ticks {
+            let next = path.at((tick + 1) as f64 * PERIOD_S);
+            let answer = Answer {
+                total: plant.true_torque(&next).cast(),
+                shares: None,
+                flags: 0,
+            };
+            let record = play.tick_with(&mut plant, |_| Ok::<_, StudyError>(Some(answer)))?;
+            if 2 * tick > ticks {
+                tracking.add(&(record.desired.q - record.q));
+            }
+        }
+        Ok(tracking.mean_rms_mrad())
+    }
+
+    /// Plays `path`, with the board that starts from a bank and learns, or not; or without one.
+    ///
+    /// * `rows_s` rows for batch identification are kept up to this time, s; 0 keeps all
+    pub(super) fn run<A: Arm<N, P>, const P: usize>(
+        &self,
+        (mut plant, source): (Plant<N>, Source),
+        path: &Trajectory<N>,
+        start: Option<(&ParameterBank, bool)>,
+        ticks: usize,
+        rows_s: f64,
+    ) -> Result<Trace<N>, StudyError> {
+        let mut board = None;
+        let mut started = None;
+        if let Some((bank, _)) = start {
+            let native = Box::new(Native::<A, N, P>::new()?);
+            let mut client = Client::connect::<A, P>(native, Duration::from_secs(1))?;
+            client.upload_bank(bank)?;
+            started = Some(bank.set::<A, N, P>()?);
+            board = Some(client);
+        }
+        let mut play = ClosedLoop::new(
+            &mut plant,
+            &self.pd[usize::from(source == Source::Link)],
+            path,
+            PERIOD_S,
+            board.as_mut(),
+        )?;
+        let learns = start.is_some_and(|(_, learns)| learns);
+        if let Some(board) = &mut board {
+            board.learning(learns)?;
+            board.stream(Field::Quality.bit() | Field::Decision.bit(), 2)?;
+        }
+        let mut trace = Trace {
+            seconds: Vec::new(),
+            tracking: TrackingError::default(),
+            alarms: 0,
+            weighed: Vec::new(),
+            curve: Vec::new(),
+            rows: Rows::new(),
+            armed: true,
+        };
+        let (mut acting, mut decided, mut mass) = (Joints::zeros(), 0.0, 0.0);
+        let (mut carried, mut changed_s) = (false, f64::NEG_INFINITY);
+        for tick in 0..ticks {
+            let t_s = tick as f64 * PERIOD_S;
+            if let (Some(board), Some(started), true) = (&mut board, &started, learns)
+                && tick.is_multiple_of(LOOK)
+            {
+                let set = board.read_bank()?.set::<A, N, P>()?;
+                let needed = self.needed(&plant);
+                let before = self.unseen_error::<A, P>(started, &needed);
+                let error = self.unseen_error::<A, P>(&set, &needed) / before;
+                trace.curve.push((t_s, error));
+            }
+            let record = play.tick(&mut plant, board.as_mut())?;
+            if (carried, plant.carried().is_some()) != (carried, carried) {
+                (carried, changed_s) = (plant.carried().is_some(), t_s);
+            }
+            if carried && (t_s - changed_s - WEIGHED_S).abs() < 0.5 * PERIOD_S {
+                trace.weighed.push(mass);
+            }
+            if 2 * tick > ticks {
+                trace.tracking.add(&(record.desired.q - record.q));
+            }
+            if rows_s == 0.0 || t_s < rows_s {
+                let measured = record.reported.map(|reported| JointMeasurement {
+                    q: reported.q.cast(),
+                    tau: reported.tau.cast(),
+                });
+                trace.rows.push(measured.as_ref());
+            }
+            if let (Some(started), true, true) = (
+                &started,
+                tick % EVERY == 0,
+                t_s - changed_s > GRACE_S && tick > 0,
+            ) {
+                let needed = plant.true_torque(&record.desired);
+                let motion = motion_f32(&record.desired);
+                let frozen: Joints<N> = evaluate::<A, N, P>(started, &motion).total.cast();
+                let second = t_s as usize;
+                trace
+                    .seconds
+                    .resize(trace.seconds.len().max(second + 1), [0.0; 3]);
+                for j in (0..N).filter(|&j| record.desired.qd[j].abs() > MOVING_RAD_S) {
+                    let square = |tau: f64| ((tau - needed[j]) / self.scale[j]).powi(2);
+                    let sums = &mut trace.seconds[second];
+                    sums[0] += square(acting[j]);
+                    sums[1] += square(frozen[j]);
+                    sums[2] += 1.0;
+                }
+            }
+            acting = record.feed_forward.cast();
+            if let Some(board) = &mut board {
+                trace.armed = board.safety().state == SafetyState::Armed;
+                for frame in board.take_telemetry() {
+                    watch::<N>(&frame, &mut decided, &mut trace.alarms, &mut mass);
+                }
+            }
+        }
+        Ok(trace)
+    }
+}
+
+/// Takes the payload mass, new alarms and new payloads out of a frame.
+fn watch<const N: usize>(
+    frame: &TelemetryFrame,
+    decided: &mut f64,
+    alarms: &mut u32,
+    mass: &mut f64,
+) {
+    for (field, bytes) in frame.fields(N) {
+        let values = numbers(field, bytes);
+        match field {
+            Field::Quality => *mass = values[2],
+            Field::Decision => {
+                let (count, code) = (values[0], values[1] as u8);
+                *alarms += u32::from(count != *decided && DISTURBED.contains(&code));
+                *decided = count;
+            }
+            _ => {}
+        }
+    }
+}
