@@ -69,6 +69,8 @@ fn a_damaged_or_endless_bank_is_refused() {
     let beyond = board.request(write(&endless, full));
     assert_eq!(beyond, nack(NackReason::TooLong));
     assert_eq!(board.read(), before);
+    // What was read is no upload.
+    assert_eq!(board.commit(&before), nack(NackReason::Checksum));
 }
 
 #[test]
