@@ -66,11 +66,7 @@ impl RobotOptions {
     ///
     /// Errors: those of [`ArmOptions::import`], and of standard output.
     pub(super) fn load_coupled(&self) -> Result<Robot, Failure> {
-        let import = self.arm.import(&self.robot)?;
-        for note in &import.notes {
-            show!("note: {note}")?;
-        }
-        Ok(import.robot)
+        self.arm.load_coupled(&self.robot)
     }
 }
 
@@ -132,14 +128,22 @@ impl ArmOptions {
 
     /// The arm called `name`, of which each drive turns one joint; its notes are printed.
     ///
-    /// Errors: as of [`import`](Self::import), and of standard output; an arm with coupled joints.
+    /// Errors: as of [`load_coupled`](Self::load_coupled); an arm with coupled joints.
     pub(super) fn load(&self, name: &str) -> Result<Robot, Failure> {
-        let import = self.import(name)?;
-        if import.robot.coupling.is_some() {
-            return Err(unusable(format!(
+        let robot = self.load_coupled(name)?;
+        match robot.coupling {
+            None => Ok(robot),
+            Some(_) => Err(unusable(format!(
                 "{name}: coupled joints are for describe, excite, simulate, identify and torque only; take the description without its [coupling]"
-            )));
+            ))),
         }
+    }
+
+    /// The arm called `name`, which may have coupled joints; its notes are printed.
+    ///
+    /// Errors: as of [`import`](Self::import), and of standard output.
+    fn load_coupled(&self, name: &str) -> Result<Robot, Failure> {
+        let import = self.import(name)?;
         for note in &import.notes {
             show!("note: {note}")?;
         }

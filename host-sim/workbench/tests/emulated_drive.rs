@@ -7,14 +7,12 @@
 
 use crate::driven::parts::{NEVER, drive};
 use crate::driven::{Drive, Stage, written};
-use crate::trial::{connected, native, started, still};
+use crate::trial::{connected, native, still};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::Flags;
 use foretorque_link::safety::{SafetyReason, SafetyState};
 use foretorque_link::wire::Field;
-use foretorque_workbench::board::Client;
-use foretorque_workbench::board::qemu::{Image, QemuOptions};
 
 /// Of `firmware/boards/f405/src/pyboard_drive/mod.rs`: the joint, and the torque of a full duty, N·m.
 const JOINT: usize = 1;
@@ -187,24 +185,4 @@ fn a_fault_of_the_drive_ends_the_pulses_in_the_tick_in_which_it_is_seen() {
     assert_eq!(reply.total, JointVector::<JOINTS>::zeros());
     trial.is_off();
     assert_eq!(trial.refusal(), SafetyReason::Drive);
-}
-
-#[test]
-fn driving_a_joint_costs_less_than_two_thousand_instructions() {
-    let cost = |client: &mut Client<JOINTS>| {
-        for k in 0..200 {
-            client.sample(&moving(k)).expect("a torque");
-        }
-        client.statistics().expect("counters")
-    };
-    let mut plain = connected(started(&QemuOptions::new(Image::Joint)));
-    plain.arm(&still()).expect("it can be armed");
-    let plain = cost(&mut plain);
-    let driving = cost(&mut Drive::armed("cost", NEVER, NEVER).client);
-    let latencies = [plain, driving].map(|counted| counted.reply_latency);
-    println!("reply latency of joint and joint-drive {latencies:?}");
-    let costs = [plain, driving].map(|counted| counted.tick_cost);
-    println!("tick cost of joint and joint-drive {costs:?}");
-    let more = latencies[1].mean.saturating_sub(latencies[0].mean);
-    assert!(more < 2000, "{more} instructions from sample to answer");
 }

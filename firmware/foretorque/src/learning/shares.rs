@@ -70,25 +70,23 @@ const CLIP: f32 = 6.0;
 ///   would leave a part of every error in the torque: the sums fade, so s does not go to 0
 /// * the estimate is that of the older checkpoint: a newer one has learnt the noise that is still in r
 /// * rows with a large change weigh most, so a share falls fast where the estimate is wrong
-/// * a row counts in proportion to the rows before it, until the memory is full: an estimate of few rows is another one, and
+/// * a row counts in proportion to the rows of its joint before it, until the memory is full: an estimate of few rows is another one, and
 ///   its large errors are no evidence on the present one (polynomial-decay averaging [Shamir and Zhang 2013], η = 1)
 ///
 /// Torques in units of the torque limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ShareEvidence<const N: usize> {
-    /// Σ d r and Σ d² of each joint.
-    joints: [(f32, f32); N],
+    /// Σ d r, Σ d² and rows of each joint.
+    joints: [(f32, f32, u32); N],
     /// Σ y m over all joints, of measured torque y and torque m of the loaded set.
     agreement: f32,
-    rows: u32,
 }
 
 impl<const N: usize> ShareEvidence<N> {
     /// Evidence without rows.
     pub(super) const NONE: Self = Self {
-        joints: [(0.0, 0.0); N],
+        joints: [(0.0, 0.0, 0); N],
         agreement: 0.0,
-        rows: 0,
     };
 
     /// Add a row of `joint`; a row that is not finite is ignored.
@@ -102,7 +100,7 @@ impl<const N: usize> ShareEvidence<N> {
         sigma: f32,
         fade: f32,
     ) {
-        let Some((cross, power)) = self.joints.get_mut(joint) else {
+        let Some((cross, power, rows)) = self.joints.get_mut(joint) else {
             return;
         };
         let change = measured - loaded - residual;
@@ -113,18 +111,18 @@ impl<const N: usize> ShareEvidence<N> {
         if !(product + measured * loaded).is_finite() {
             return;
         }
-        let before = (self.rows / N as u32) as f32;
-        let young = fade.min(before / (before + 1.0));
+        let young = fade.min(*rows as f32 / (*rows as f32 + 1.0));
         *cross = young * *cross + product;
         *power = young * *power + weight * change * change;
+        *rows = rows.saturating_add(1);
         // As long a memory, over the rows of all joints.
         self.agreement += (fade - 1.0) / N as f32 * self.agreement + measured * loaded;
-        self.rows = self.rows.saturating_add(1);
     }
 
-    /// Number of rows.
+    /// Number of rows of all joints.
     pub(super) fn rows(&self) -> u32 {
-        self.rows
+        let rows = self.joints.iter().map(|(_, _, rows)| *rows);
+        rows.fold(0, u32::saturating_add)
     }
 
     /// True if the measured torques oppose those of the loaded set: sensors or drives have the wrong sign.
@@ -136,7 +134,7 @@ impl<const N: usize> ShareEvidence<N> {
     ///
     /// * `variance` ρ σ² of the measurement
     pub(super) fn share(&self, joint: usize, variance: f32) -> f32 {
-        let (cross, power) = self.joints.get(joint).copied().unwrap_or_default();
+        let (cross, power, _) = self.joints.get(joint).copied().unwrap_or_default();
         let share = (cross - SIGNIFICANCE * SIGNIFICANCE * variance * power / cross) / power;
         // A comparison with a not-a-number is false. Both terms change their sign with the cross product.
         match cross > 0.0 && share > 0.0 && !self.is_reversed() {
@@ -149,7 +147,7 @@ impl<const N: usize> ShareEvidence<N> {
     /// Share of a single set: the mean of `shares`, weighted by the squares of the changes.
     pub(super) fn common(&self, shares: &[f32; N]) -> f32 {
         let (mut sum, mut weight) = (0.0, 0.0);
-        for ((_, power), share) in self.joints.iter().zip(shares) {
+        for ((_, power, _), share) in self.joints.iter().zip(shares) {
             sum += power * share;
             weight += power;
         }
@@ -198,7 +196,7 @@ mod tests {
     #[test]
     fn errors_of_an_estimate_of_few_rows_are_soon_no_evidence() {
         let mut evidence = none();
-        // Equal memory for all rows leaves 0.7.
+        // Equal memory for all rows leaves 0.8.
         assert_eq!(after(&mut evidence, 200, -0.5, 0.1), 0.0);
         let share = after(&mut evidence, 4000, 0.1, 0.1);
         assert!(share > 0.95, "{share}");

@@ -183,7 +183,7 @@ pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
     Ok(campaign)
 }
 
-/// A board after a bite: no torque before it was armed anew, and it can be.
+/// A board restarted by its watchdog: no torque before it is armed anew, and it can be.
 fn restarted() -> Result<(bool, bool), StudyError> {
     let native = Native::<Ur5, JOINTS, PARAMETERS>::restarted(ResetReason::Watchdog)?;
     let mut board = Client::connect::<Ur5, PARAMETERS>(Box::new(native), PATIENCE)?;

@@ -1,5 +1,9 @@
 //! The firmware in the emulator: the flashable ELF over its USART, or the bulk ELF over two pipes.
 
+mod options;
+
+pub use options::{Image, QemuOptions};
+
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
@@ -14,105 +18,16 @@ use nix::unistd::pipe2;
 use super::Transport;
 use super::child::Guarded;
 
-/// The emulator's program.
-const EMULATOR: &str = "qemu-system-arm";
 /// Where the write key is (memory.x).
 const KEY_START: u32 = 0x080A_0000;
 /// Where the drives of a board on a drive bus are (memory.x).
 const WIRING_START: u32 = 0x0808_0000;
 /// Where the store begins (memory.x).
 const STORE_START: u32 = 0x080C_0000;
-/// How long the end of a dying emulator is waited for.
-const FUNERAL: Duration = Duration::from_secs(2);
-/// How long a board may take no bytes.
+/// Longest wait for the end of an emulator that has failed.
+const EXIT_WAIT: Duration = Duration::from_secs(2);
+/// Longest time in which a board may take no bytes.
 pub const PATIENCE: Duration = Duration::from_secs(10);
-
-/// Which firmware, and so which link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Image {
-    /// The flashable firmware, over USART2.
-    Joint,
-    /// The tick between two pipes (semihosting), for long runs.
-    Bulk,
-}
-
-impl Image {
-    /// Name of the binary.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Joint => "joint",
-            Self::Bulk => "bulk",
-        }
-    }
-
-    /// Where the board build leaves the ELF: `target/thumbv7em-none-eabihf/firmware/` under the workspace root.
-    pub fn default_elf(self) -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../../target/thumbv7em-none-eabihf/firmware")
-            .join(self.name())
-    }
-}
-
-impl Image {
-    /// The ELF for the arm called `arm`: that of `cargo xtask arm` where there is one, else [`Self::default_elf`].
-    pub fn elf_of(self, arm: &str) -> PathBuf {
-        let arms = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/foretorque/arms");
-        let own = arms.join(arm).join(self.name());
-        if own.is_file() {
-            own
-        } else {
-            self.default_elf()
-        }
-    }
-}
-
-/// How the emulator is run.
-#[derive(Clone, Debug)]
-pub struct QemuOptions {
-    /// The program.
-    pub emulator: PathBuf,
-    /// The firmware.
-    pub image: Image,
-    /// Its ELF.
-    pub elf: PathBuf,
-    /// Virtual time per instruction, 2^shift ns, without which runs do not repeat. 3 is 125 million instructions a
-    /// second, about what 168 MHz give on silicon. `None` lets virtual time follow the clock on the wall.
-    pub icount_shift: Option<u8>,
-    /// Core shared by the emulator and the calling thread: they take turns, and waking a neighbour core costs more
-    /// than the turn itself. `None` leaves both where they are.
-    pub core: Option<usize>,
-    /// Longest time to the board's first byte.
-    pub boot: Duration,
-    /// File for the raw defmt stream of the flashable firmware.
-    pub log: Option<PathBuf>,
-    /// File with the content of the store's sectors, which the emulated board can read and not change; `None` for zeros.
-    pub store: Option<PathBuf>,
-    /// File with the bytes of the board's write key; `None` for a board without one.
-    pub key: Option<PathBuf>,
-    /// File with the drives of a board on a drive bus; its frames are lines on [`Emulator::take_frame_ports`].
-    pub wiring: Option<PathBuf>,
-    /// File for the accesses to parts of the chip that the emulator does not model, pins among them.
-    pub trace: Option<PathBuf>,
-}
-
-impl QemuOptions {
-    /// Repeatable, on one core, without a log.
-    pub fn new(image: Image) -> Self {
-        Self {
-            emulator: EMULATOR.into(),
-            image,
-            elf: image.default_elf(),
-            icount_shift: Some(3),
-            core: nix::sched::sched_getcpu().ok(),
-            boot: Duration::from_secs(10),
-            log: None,
-            store: None,
-            key: None,
-            wiring: None,
-            trace: None,
-        }
-    }
-}
 
 /// Errors of an emulated board.
 #[derive(Debug, thiserror::Error)]
@@ -309,7 +224,7 @@ impl Emulator {
 
     /// Why the link is gone: nearly always because the emulator is.
     fn broken(&mut self, error: nix::Error) -> EmulatorError {
-        match self.process.ended(FUNERAL) {
+        match self.process.ended(EXIT_WAIT) {
             Ok(Some(status)) => {
                 let last = self
                     .process

@@ -79,8 +79,7 @@ impl Experiment {
                     }
                     let row = block.column(j);
                     moments[j].syger(1.0, &row, &row, 1.0);
-                    let friction = joint.friction.viscous * state.qd[j]
-                        + joint.friction.coulomb * (state.qd[j] / SIGN_WIDTH_RAD_S).tanh();
+                    let friction = joint.friction.sliding(state.qd[j]);
                     power[j] += (rigid[j] + friction).powi(2);
                     count[j] += 1.0;
                 }
