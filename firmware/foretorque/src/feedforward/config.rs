@@ -14,9 +14,6 @@ pub struct FeedForwardConfig<const N: usize> {
     pub payload_bound: [f32; N],
     /// Largest change in one tick of all that was learnt since the committed set, the payload included, N × N·m.
     pub learned_slew_per_tick: [f32; N],
-    /// Time from a measurement to the middle of the tick its answer acts in, s: cogging is that of the place where the
-    /// joint will be then.
-    pub lead: f32,
     /// Ticks for which the torque is held when no usable sample comes; then it goes to zero at the slew limit.
     pub hold_ticks: u32,
 }
@@ -40,8 +37,6 @@ impl<const N: usize> FeedForwardConfig<N> {
             slew_per_tick: torques.map(|torque| torque * period_s / SLEW_TIME_S),
             payload_bound: payload_bound::<A, N, P>(),
             learned_slew_per_tick: torques.map(|torque| LEARNED_STEP * torque),
-            // Measured at k, in effect from k + 1 to k + 2.
-            lead: 1.5 * period_s,
             // At least one tick: a single lost sample must not make the torque dip.
             hold_ticks: HOLD_TIME_US / whole_us(period_s) + 1,
         }
@@ -49,10 +44,7 @@ impl<const N: usize> FeedForwardConfig<N> {
 
     /// Every field is usable.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        check(&[
-            ("acceleration_limit", self.acceleration_limit),
-            ("lead", self.lead),
-        ])?;
+        check(&[("acceleration_limit", self.acceleration_limit)])?;
         for joint in 0..N {
             let limits = &self.limits[joint];
             check(&[

@@ -4,7 +4,7 @@ use super::model::{AtSpeed, TickMotion};
 use super::shares::{Shares, select};
 use super::state::FeedForwardState;
 use crate::arm::Arm;
-use crate::dynamics::{Pose, cogging, is_angle, rnea_of};
+use crate::dynamics::{Pose, cogging, rnea_of};
 use crate::joint::{JointSample, JointVector};
 use crate::learning::{Exchange, LearningSample};
 use crate::limits::{Flags, cut, limit};
@@ -75,11 +75,6 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         &state.committed_difference.rigid,
     ];
     rnea_of::<A, N, P, 2>(learnt, &pose.angles, &motion.bounded, &mut scratch.learnt);
-    // Where nothing was measured the joint is where it should be.
-    let (place, lead) = match &sample.measured {
-        Some(measured) => (&measured.q, config.lead),
-        None => (&motion.desired.q, 0.0),
-    };
     let recommitted = core::mem::take(&mut state.recommitted);
     let fresh = core::mem::take(&mut state.fresh);
     let mut ignored = Flags::NONE;
@@ -88,10 +83,7 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         let [active, committed] = [scratch.learnt[0][joint], scratch.learnt[1][joint]];
         let limits = &config.limits[joint];
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
-        let cogging = cogging(
-            A::cogging_cycles()[joint],
-            cogging_place(place[joint] + qd * lead, q),
-        );
+        let cogging = cogging(A::cogging_cycles()[joint], q);
         let load = pose.load[joint];
         let desired = AtSpeed::new(qd, cogging, load);
         let bounded = state.range.cut(joint, qd, load, &desired);
@@ -166,18 +158,6 @@ pub fn pause<'a, const N: usize, const P: usize>(
     hold(config, state, Flags::NO_MEASUREMENT);
     (state.tick, state.adoption) = (tick, adoption);
     &state.last
-}
-
-/// Where a joint will be when the torque acts, for the cogging, rad: a tracking error of a few milliradians turns its
-/// phase, so the measured position counts, carried on at the desired speed.
-#[inline]
-fn cogging_place(measured: f32, desired: f32) -> f32 {
-    // A wild encoder must not take the friction share with it.
-    if is_angle(measured) {
-        measured
-    } else {
-        desired
-    }
 }
 
 fn hold<'a, const N: usize, const P: usize>(

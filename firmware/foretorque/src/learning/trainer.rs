@@ -50,6 +50,9 @@ pub(super) struct NetworkRow {
     pub residual: f32,
     /// Standard deviation of the measurement, in units of the torque limit.
     pub sigma: f32,
+    /// The residual is that of the arm alone. Else it may be that of a payload: the candidate does not learn it and has no
+    /// advantage by it, but the active network is compared with none.
+    pub of_arm: bool,
 }
 
 /// Result of a comparison of networks.
@@ -217,7 +220,7 @@ impl<const N: usize> NetworkTrainer<N> {
         }
         let inverse = 1.0 / row.sigma;
         let x = network_inputs(row.qd);
-        let candidate = self.candidate.get_mut(joint)?;
+        let candidate = self.candidate.get(joint)?;
         let hidden = candidate.hidden(&x);
         let output = candidate.output(&hidden)[0];
         let square = |output: f32| {
@@ -231,17 +234,47 @@ impl<const N: usize> NetworkTrainer<N> {
         if !(row.residual + inverse + active_square + candidate_square + silent).is_finite() {
             return None;
         }
+        let candidate_square = if row.of_arm {
+            candidate_square
+        } else {
+            active_square
+        };
         let complete = self.test.get_mut(joint)?.add_row(
             [active_square, candidate_square, silent],
             config.memory_rows,
         );
+        if row.of_arm {
+            self.learn(config, joint, row, &hidden);
+        }
+        if complete {
+            self.decide(joint, active)
+        } else {
+            None
+        }
+    }
+
+    /// Update the candidate of `joint`, whose hidden units have the outputs `hidden` at the row.
+    fn learn(
+        &mut self,
+        config: &TrainerConfig,
+        joint: usize,
+        row: &NetworkRow,
+        hidden: &SVector<f32, NETWORK_HIDDEN>,
+    ) {
+        let (Some(candidate), Some(filter)) =
+            (self.candidate.get_mut(joint), self.filter.get_mut(joint))
+        else {
+            return;
+        };
+        let inverse = 1.0 / row.sigma;
+        let x = network_inputs(row.qd);
+        let output = candidate.output(hidden)[0];
         let step = StepParameters {
             learning_rate: config.hidden_rate,
             error_clip: config.clip_sigmas * row.sigma,
         };
         // The filter updates the output layer.
-        candidate.update_hidden(&x, &hidden, &SVector::from([output - row.residual]), &step);
-        let filter = self.filter.get_mut(joint)?;
+        candidate.update_hidden(&x, hidden, &SVector::from([output - row.residual]), &step);
         let scale = config.output_sigma * inverse;
         let mut phi = [scale; OUTPUTS];
         for (phi, hidden) in phi.iter_mut().zip(hidden.iter()) {
@@ -255,11 +288,6 @@ impl<const N: usize> NetworkTrainer<N> {
         let weights = weights.chain(candidate.output_bias.iter_mut());
         for (weight, increment) in weights.zip(increments) {
             *weight += config.output_sigma * increment;
-        }
-        if complete {
-            self.decide(joint, active)
-        } else {
-            None
         }
     }
 

@@ -13,7 +13,7 @@ use crate::learning::conditioning::{AVERAGED, ConditionedSample};
 use crate::learning::estimator::joint_friction_row;
 use crate::learning::payload::{payload_base, payload_row, payload_torque};
 use crate::learning::quality::Phase;
-use crate::learning::supervisor::payload_test::{PayloadDecision, PayloadHypothesisTest};
+use crate::learning::supervisor::payload_test::PayloadDecision;
 use crate::learning::supervisor::step::Evidence;
 use crate::math::sqrt;
 
@@ -200,7 +200,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let test = &mut supervisor.payload_test;
         let decision = test.decide(config, carries_payload, single, usual);
         if phase == Phase::Healthy {
-            let is_over = test.blocks() >= config.window_blocks;
+            let window = match test.is_undecided() {
+                true => config.timeout_blocks,
+                false => config.window_blocks,
+            };
+            let is_over = test.blocks() >= window;
             if supervisor.updates_payload(config) {
                 supervisor.payload = supervisor.payload_filter.payload();
                 supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
@@ -210,8 +214,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             if !decision.is_some_and(PayloadDecision::is_change) {
                 if is_over {
-                    supervisor.payload_test =
-                        PayloadHypothesisTest::new(config, &supervisor.payload);
+                    let test = &mut supervisor.payload_test;
+                    test.restart(config, &supervisor.payload);
                 }
                 return;
             }

@@ -152,18 +152,20 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if !state.phase().learns() {
             return RowOutcome::Frozen;
         }
+        let paused = state.supervisor.pauses_estimate(&self.config.supervisor);
         // The network learns the residual of the active set, which is in the torque, not that of the estimate. Under a payload
         // it is compared, too: what it gained before may cost now.
         let network_row = NetworkRow {
             qd: row.qd,
             residual,
             sigma,
+            of_arm: !paused,
         };
         self.train_network(row.tick, joint, &network_row);
-        let state = &mut self.state;
-        if state.supervisor.pauses_estimate(&self.config.supervisor) {
+        if paused {
             return RowOutcome::Frozen;
         }
+        let state = &mut self.state;
         let Some(active) = state.active.friction.get(joint) else {
             return RowOutcome::Rejected;
         };

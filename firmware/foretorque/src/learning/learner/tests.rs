@@ -386,6 +386,8 @@ fn a_network_that_costs_is_silenced_under_a_payload_too() {
     learn_ticks(&mut learner, 0..60, true);
     let supervisor = &mut learner.state.supervisor;
     supervisor.before_payload = Some(supervisor.checkpoints[1]);
+    // The payload is no longer updated.
+    supervisor.blocks_carried = learner.config.supervisor.payload_update_blocks;
     supervisor.learnt.share.joint = [1.0; N];
     let estimate = learner.state.estimate;
     for network in &mut learner.state.active.network {

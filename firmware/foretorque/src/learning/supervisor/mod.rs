@@ -133,12 +133,13 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         self.carries_payload() && self.blocks_carried < config.payload_update_blocks
     }
 
-    /// True if the estimate pauses under a payload.
+    /// True if the estimate pauses under a payload, or with evidence for one.
     ///
     /// A release restores the parameters of before the payload. Rows learnt meanwhile would be lost, but the covariance
     /// would keep their information.
     pub(super) fn pauses_estimate(&self, config: &SupervisorConfig) -> bool {
         self.carries_payload() && self.blocks_carried < config.pause_blocks
+            || self.payload_test.is_undecided()
     }
 
     /// Discard incomplete blocks.
@@ -153,6 +154,8 @@ mod tests {
     use super::*;
     use crate::arm::ur5::{LearnerConfig, Ur5};
     use crate::joint::{JointMotion, JointVector};
+    use crate::learning::payload::payload_torque;
+    use payload_test::PayloadDecision;
 
     type Tested = Supervisor<6, 40>;
 
@@ -175,6 +178,35 @@ mod tests {
         ] {
             assert!(of == set, "{name}");
         }
+    }
+
+    #[test]
+    fn evidence_for_a_body_pauses_the_estimate_until_its_mass_is_certain() {
+        let config = config();
+        let mut supervisor = Tested::new(&config);
+        let mut body = NO_PAYLOAD;
+        body[0] = 2.0;
+        // Torques whose error is ten times what they show.
+        let mut paused = 0;
+        let decision = (0..config.timeout_blocks).find_map(|_| {
+            for k in 0..2 * body.len() {
+                let mut row = NO_PAYLOAD;
+                row[k % body.len()] = 10.0;
+                let tau = payload_torque(&body, &row);
+                let test = &mut supervisor.payload_test;
+                test.add_row(&NO_PAYLOAD, &row, tau, 0.1, 20.0);
+            }
+            let decision = supervisor.payload_test.decide(&config, false, false, 0.0);
+            paused += u32::from(supervisor.pauses_estimate(&config));
+            decision.filter(|decision| decision.is_change())
+        });
+        assert_eq!(decision, Some(PayloadDecision::Promote));
+        assert!(
+            paused > 10 && !supervisor.pauses_estimate(&config),
+            "{paused}"
+        );
+        supervisor.restart(&config, &LinearParameters::filled(0.0));
+        assert!(!supervisor.pauses_estimate(&config));
     }
 
     #[test]

@@ -39,7 +39,12 @@ const REMAINDER: f32 = 0.02;
 /// Multiple of the usual mean square of blocks that may remain after a disturbance, because no model of a real arm reaches the noise.
 const USUAL_FACTOR: f32 = 2.0;
 
-/// Part of the evidence for the hypothesis that an empty hand must have for a release.
+/// Part of the mean square residual that the hypothesis leaves where there is nothing to explain: of noise nearly all.
+const UNEXPLAINED: f32 = 0.5;
+/// Least evidence for an empty hand: a likelihood ratio without free parameters exceeds 1/p with probability p at most
+/// [Ville 1939], and p is that of [`SupervisorConfig::payload_evidence`].
+const EMPTY_EVIDENCE: f32 = 45.0;
+/// Part of the evidence for a body that an empty hand must have for a release.
 const EMPTY_PART: f32 = 0.8;
 
 /// Test of a payload hypothesis. Squares are in variances of a measurement and fade with each block.
@@ -47,9 +52,13 @@ const EMPTY_PART: f32 = 0.8;
 pub(crate) struct PayloadHypothesisTest {
     filter: PayloadFilter,
     blocks: u32,
+    /// The hypothesis is a body with enough evidence, whose mass is not certain enough yet.
+    undecided: bool,
     /// Evidence for the hypothesis and for an empty hand, each over the payload in the torque: twice a log-likelihood ratio.
     evidence: f32,
     empty_evidence: f32,
+    /// Likewise for an empty hand since some block before, whichever is the most: a CUSUM, kept from window to window.
+    empty_cusum: f32,
     rows: f32,
     /// Squares with the payload in the torque and with the hypothesis.
     current: f32,
@@ -66,8 +75,10 @@ impl PayloadHypothesisTest {
         Self {
             filter: PayloadFilter::new(payload, &payload_sigma(config.max_payload_mass)),
             blocks: 0,
+            undecided: false,
             evidence: 0.0,
             empty_evidence: 0.0,
+            empty_cusum: 0.0,
             rows: 0.0,
             current: 0.0,
             hypothesis: 0.0,
@@ -75,6 +86,14 @@ impl PayloadHypothesisTest {
             release_blocks: 0,
             quiet_blocks: 0,
         }
+    }
+
+    /// Start the next window, with the hypothesis at `payload`.
+    pub(crate) fn restart(&mut self, config: &SupervisorConfig, payload: &Payload) {
+        *self = Self {
+            empty_cusum: self.empty_cusum,
+            ..Self::new(config, payload)
+        };
     }
 
     /// Add the residual torque `tau` of one joint without payload, N·m, with its payload row.
@@ -102,7 +121,9 @@ impl PayloadHypothesisTest {
         let ratio = sigma / inflated;
         let weight = ratio * ratio;
         let before = weight * square(tau - payload_torque(payload, row));
-        self.empty_evidence += before - weight * square(tau);
+        let empty = before - weight * square(tau);
+        self.empty_evidence += empty;
+        self.empty_cusum += empty;
         self.evidence += before - self.filter.update(row, tau, inflated);
     }
 
@@ -127,9 +148,13 @@ impl PayloadHypothesisTest {
         let [current, hypothesis] = [self.current, self.hypothesis].map(|sum| sum * inverse);
         let quiet = config.quiet_level + USUAL_FACTOR * usual;
         let rejection = self.rejection(config, quiet, current, hypothesis);
+        self.undecided = matches!(rejection, Some((Reason::Uncertain, _)))
+            && self.evidence > config.payload_evidence;
+        self.empty_cusum = self.empty_cusum.max(0.0);
+        let body = !matches!(rejection, Some((Reason::Implausible, _)));
         let gone = carries_payload
-            && self.evidence > config.payload_evidence
-            && self.empty_evidence > EMPTY_PART * self.evidence;
+            && self.empty_cusum > EMPTY_EVIDENCE
+            && (!body || self.empty_evidence > EMPTY_PART * self.evidence);
         let count = |counter: &mut u32, holds: bool, enough: bool| {
             *counter = if holds && enough { *counter + 1 } else { 0 };
             *counter >= config.decision_blocks
@@ -137,7 +162,8 @@ impl PayloadHypothesisTest {
         let promoted = count(&mut self.promote_blocks, rejection.is_none(), enough);
         let released = count(&mut self.release_blocks, gone, enough);
         let enough = enough || single && self.rows >= MIN_ROWS_SINGLE;
-        let over = count(&mut self.quiet_blocks, current < quiet, enough);
+        let over = current < quiet && hypothesis >= UNEXPLAINED * current;
+        let over = count(&mut self.quiet_blocks, over, enough);
         for sum in [&mut self.rows, &mut self.current, &mut self.hypothesis] {
             *sum *= FADE;
         }
@@ -187,150 +213,16 @@ impl PayloadHypothesisTest {
         &self.filter
     }
 
-    /// Number of blocks since the alarm.
+    /// Number of blocks since the alarm or the last window.
     pub(crate) fn blocks(&self) -> u32 {
         self.blocks
+    }
+
+    /// True if there is evidence for a body whose mass is not certain enough yet.
+    pub(crate) fn is_undecided(&self) -> bool {
+        self.undecided
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::arm::ur5::{LearnerConfig, Ur5};
-    use crate::learning::payload::{MAX_COM_DISTANCE, NO_PAYLOAD, PAYLOAD_PARAMETERS};
-
-    fn config() -> SupervisorConfig {
-        LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
-    }
-
-    /// Decision after blocks of a payload `carried`, N·m a unit, under which the arm feels `felt`; one row of every
-    /// parameter a block, and two in the directions of the mass.
-    fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
-        let (block, decision, _) = decided_at(carried, felt, noise, 0.1);
-        (block, decision)
-    }
-
-    /// Likewise for rows of the deviation `inflated`, N·m; with the standard deviation of the mass then, kg.
-    fn decided_at(
-        carried: &Payload,
-        felt: &Payload,
-        noise: f32,
-        inflated: f32,
-    ) -> (u32, PayloadDecision, f32) {
-        let config = config();
-        let mut test = PayloadHypothesisTest::new(&config, carried);
-        for block in 1.. {
-            for k in 0..PAYLOAD_PARAMETERS + 2 {
-                let mut row = NO_PAYLOAD;
-                row[k % PAYLOAD_PARAMETERS] = 10.0;
-                let sign = if (block + k as u32).is_multiple_of(2) {
-                    1.0
-                } else {
-                    -1.0
-                };
-                let tau = payload_torque(felt, &row) + sign * noise;
-                test.add_row(carried, &row, tau, 0.1, inflated);
-            }
-            let carries = *carried != NO_PAYLOAD;
-            if let Some(decision) = test.decide(&config, carries, false, 0.0) {
-                return (block, decision, test.filter.mass_sigma());
-            }
-        }
-        unreachable!("the test has a time-out");
-    }
-
-    #[test]
-    fn every_disturbance_has_its_decision() {
-        let config = config();
-        let of =
-            |mass: f32, [x, y, z]: [f32; 3]| [mass, mass * x, mass * y, mass * z, 0.0, 0.0, 0.0];
-        let two = of(2.0, [0.05; 3]);
-        let (far, light) = (1.02 * MAX_COM_DISTANCE, 0.9 * config.min_payload_mass);
-        let heavy = of(1.01 * config.max_payload_mass, [0.0; 3]);
-        let implausible = |mass: f32| PayloadDecision::Refuse(Reason::Implausible, mass);
-        let five = config.decision_blocks;
-        let (warm, late) = (five, config.timeout_blocks);
-        for (carried, felt, blocks, wanted) in [
-            (NO_PAYLOAD, two, warm, PayloadDecision::Promote),
-            (two, NO_PAYLOAD, five, PayloadDecision::Release),
-            (NO_PAYLOAD, NO_PAYLOAD, five, PayloadDecision::Transient),
-            (two, two, five, PayloadDecision::Transient),
-            // Heavier by a little: another payload, not an empty hand.
-            (two, of(3.0, [0.05; 3]), warm, PayloadDecision::Promote),
-            (two, of(0.9, [0.05; 3]), warm, PayloadDecision::Promote),
-            (NO_PAYLOAD, of(2.0, [far, 0.0, 0.0]), late, implausible(2.0)),
-            (NO_PAYLOAD, of(2.0, [0.0, far, 0.0]), late, implausible(2.0)),
-            (NO_PAYLOAD, of(2.0, [0.0, 0.0, far]), late, implausible(2.0)),
-            (NO_PAYLOAD, of(light, [0.0; 3]), late, implausible(light)),
-            (NO_PAYLOAD, heavy, late, implausible(heavy[0])),
-        ] {
-            let (block, decision) = decided(&carried, &felt, 0.03);
-            let near = match (decision, wanted) {
-                (PayloadDecision::Refuse(a, x), PayloadDecision::Refuse(b, y)) => {
-                    a == b && (x - y).abs() < 0.02 * y
-                }
-                (decision, wanted) => decision == wanted,
-            };
-            assert!(near, "{carried:?} {felt:?}: {decision:?}");
-            assert!((blocks..=blocks + 3).contains(&block), "{felt:?}: {block}");
-        }
-        // An empty hand under noise that no payload explains, and a payload that is hardly felt.
-        let (_, released) = decided(&two, &NO_PAYLOAD, 2.0);
-        assert_eq!(released, PayloadDecision::Release);
-        let tiny = of(0.005, [0.0; 3]);
-        let (_, over) = decided(&tiny, &tiny, 0.03);
-        assert_eq!(over, PayloadDecision::Transient);
-        // A disturbance that a payload explains in part.
-        let (block, decision) = decided(&NO_PAYLOAD, &two, 3.0);
-        assert!(
-            matches!(decision, PayloadDecision::Refuse(Reason::Residual, _)),
-            "{decision:?}"
-        );
-        assert_eq!(block, late);
-        // Evidence comes before a mass that is certain enough.
-        let (block, decision, sigma) = decided_at(&NO_PAYLOAD, &two, 0.03, 20.0);
-        assert_eq!(decision, PayloadDecision::Promote);
-        assert!(
-            block > 60 && sigma < config.max_mass_sigma,
-            "{block}: {sigma} kg"
-        );
-    }
-
-    /// First change of the payload in the window of the background test with `felt` where `carried` is in the torque, and
-    /// its block; torques below the noise of one standard deviation.
-    fn found(carried: &Payload, felt: &Payload) -> Option<(u32, PayloadDecision)> {
-        let config = config();
-        let mut test = PayloadHypothesisTest::new(&config, carried);
-        let mut random = 1u64;
-        (1..config.window_blocks).find_map(|block| {
-            for k in 0..PAYLOAD_PARAMETERS + 2 {
-                let mut row = NO_PAYLOAD;
-                row[k % PAYLOAD_PARAMETERS] = 0.3;
-                random = random
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1);
-                // Uniform, of variance 1.
-                let noise = 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0);
-                let tau = payload_torque(felt, &row) + 0.1 * noise;
-                test.add_row(carried, &row, tau, 0.1, 0.1);
-            }
-            let decision = test.decide(&config, *carried != NO_PAYLOAD, false, 1.0)?;
-            decision.is_change().then_some((block, decision))
-        })
-    }
-
-    #[test]
-    fn a_payload_below_the_noise_is_found_in_the_background_and_noise_is_none() {
-        let mut light = NO_PAYLOAD;
-        light[0] = 0.3;
-        assert_eq!(found(&NO_PAYLOAD, &NO_PAYLOAD), None);
-        assert_eq!(found(&light, &light), None);
-        for (carried, felt, wanted) in [
-            (NO_PAYLOAD, light, PayloadDecision::Promote),
-            (light, NO_PAYLOAD, PayloadDecision::Release),
-        ] {
-            let (block, decision) = found(&carried, &felt).expect("a change");
-            assert!(decision == wanted && block > 20, "{block}: {decision:?}");
-        }
-    }
-}
+mod tests;

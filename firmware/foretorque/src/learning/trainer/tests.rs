@@ -20,6 +20,7 @@ fn row(k: u32, height: f32) -> NetworkRow {
         qd,
         residual: height * crate::math::tanh(qd * 5.0) + noise,
         sigma: 0.01,
+        of_arm: true,
     }
 }
 
@@ -45,6 +46,38 @@ fn a_significantly_better_candidate_is_promoted_and_none_before() {
         let wanted = 0.02 * crate::math::tanh(qd * 5.0);
         assert!((output - wanted).abs() < 0.003, "{output} at {qd}");
     }
+}
+
+#[test]
+fn rows_of_a_payload_are_not_learnt_and_silence_a_network_that_costs() {
+    let of_payload = |k, height| NetworkRow {
+        of_arm: false,
+        ..row(k, height)
+    };
+    let [mut active] = silent();
+    let mut trainer = NetworkTrainer::new(&[active]);
+    for k in 0..10_000 {
+        let decision = trainer.train(&CONFIG, 0, &of_payload(k, 0.02), &mut active);
+        assert_eq!(decision, None, "row {k}");
+    }
+    assert_eq!(trainer.candidate, silent());
+    assert_eq!(trainer.filter, NetworkTrainer::new(&silent()).filter);
+    // The network helped the arm alone, and the payload turns its sign.
+    let mut k = 0;
+    let mut decision = None;
+    while decision.is_none() && k < 20_000 {
+        k += 1;
+        decision = trainer.train(&CONFIG, 0, &row(k, 0.02), &mut active);
+    }
+    assert!(matches!(decision, Some(NetworkDecision::Promoted(_))));
+    let candidate = trainer.candidate;
+    decision = None;
+    while decision.is_none() && k < 40_000 {
+        k += 1;
+        decision = trainer.train(&CONFIG, 0, &of_payload(k, -0.02), &mut active);
+    }
+    assert!(matches!(decision, Some(NetworkDecision::Silenced(_))));
+    assert_eq!(trainer.candidate, candidate);
 }
 
 #[test]

@@ -1,0 +1,180 @@
+use super::*;
+use crate::arm::ur5::{LearnerConfig, Ur5};
+use crate::learning::payload::{MAX_COM_DISTANCE, NO_PAYLOAD, PAYLOAD_PARAMETERS};
+
+fn config() -> SupervisorConfig {
+    LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
+}
+
+/// Decision after blocks of a payload `carried`, N·m a unit, under which the arm feels `felt`; one row of every
+/// parameter a block, and two in the directions of the mass.
+fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
+    let (block, decision, _) = decided_at(carried, felt, noise, 0.1);
+    (block, decision)
+}
+
+/// Likewise for rows of the deviation `inflated`, N·m; with the standard deviation of the mass then, kg.
+fn decided_at(
+    carried: &Payload,
+    felt: &Payload,
+    noise: f32,
+    inflated: f32,
+) -> (u32, PayloadDecision, f32) {
+    let config = config();
+    let mut test = PayloadHypothesisTest::new(&config, carried);
+    for block in 1.. {
+        for k in 0..PAYLOAD_PARAMETERS + 2 {
+            let mut row = NO_PAYLOAD;
+            row[k % PAYLOAD_PARAMETERS] = 10.0;
+            let sign = if (block + k as u32).is_multiple_of(2) {
+                1.0
+            } else {
+                -1.0
+            };
+            let tau = payload_torque(felt, &row) + sign * noise;
+            test.add_row(carried, &row, tau, 0.1, inflated);
+        }
+        let carries = *carried != NO_PAYLOAD;
+        if let Some(decision) = test.decide(&config, carries, false, 0.0) {
+            return (block, decision, test.filter.mass_sigma());
+        }
+    }
+    unreachable!("the test has a time-out");
+}
+
+#[test]
+fn every_disturbance_has_its_decision() {
+    let config = config();
+    let of = |mass: f32, [x, y, z]: [f32; 3]| [mass, mass * x, mass * y, mass * z, 0.0, 0.0, 0.0];
+    let two = of(2.0, [0.05; 3]);
+    let (far, light) = (1.02 * MAX_COM_DISTANCE, 0.9 * config.min_payload_mass);
+    let heavy = of(1.01 * config.max_payload_mass, [0.0; 3]);
+    let implausible = |mass: f32| PayloadDecision::Refuse(Reason::Implausible, mass);
+    let five = config.decision_blocks;
+    let (warm, late) = (five, config.timeout_blocks);
+    for (carried, felt, blocks, wanted) in [
+        (NO_PAYLOAD, two, warm, PayloadDecision::Promote),
+        (two, NO_PAYLOAD, five, PayloadDecision::Release),
+        (NO_PAYLOAD, NO_PAYLOAD, five, PayloadDecision::Transient),
+        (two, two, five, PayloadDecision::Transient),
+        // Heavier by a little: another payload, not an empty hand.
+        (two, of(3.0, [0.05; 3]), warm, PayloadDecision::Promote),
+        (two, of(0.9, [0.05; 3]), warm, PayloadDecision::Promote),
+        (NO_PAYLOAD, of(2.0, [far, 0.0, 0.0]), late, implausible(2.0)),
+        (NO_PAYLOAD, of(2.0, [0.0, far, 0.0]), late, implausible(2.0)),
+        (NO_PAYLOAD, of(2.0, [0.0, 0.0, far]), late, implausible(2.0)),
+        (NO_PAYLOAD, of(light, [0.0; 3]), late, implausible(light)),
+        (NO_PAYLOAD, heavy, late, implausible(heavy[0])),
+    ] {
+        let (block, decision) = decided(&carried, &felt, 0.03);
+        let near = match (decision, wanted) {
+            (PayloadDecision::Refuse(a, x), PayloadDecision::Refuse(b, y)) => {
+                a == b && (x - y).abs() < 0.02 * y
+            }
+            (decision, wanted) => decision == wanted,
+        };
+        assert!(near, "{carried:?} {felt:?}: {decision:?}");
+        assert!((blocks..=blocks + 3).contains(&block), "{felt:?}: {block}");
+    }
+    // An empty hand under noise that no payload explains, and a payload that is hardly felt.
+    let (_, released) = decided(&two, &NO_PAYLOAD, 2.0);
+    assert_eq!(released, PayloadDecision::Release);
+    let tiny = of(0.005, [0.0; 3]);
+    let (_, over) = decided(&tiny, &tiny, 0.03);
+    assert_eq!(over, PayloadDecision::Transient);
+    // A disturbance that a payload explains in part.
+    let (block, decision) = decided(&NO_PAYLOAD, &two, 3.0);
+    assert!(
+        matches!(decision, PayloadDecision::Refuse(Reason::Residual, _)),
+        "{decision:?}"
+    );
+    assert_eq!(block, late);
+    // Evidence comes before a mass that is certain enough.
+    let (block, decision, sigma) = decided_at(&NO_PAYLOAD, &two, 0.03, 20.0);
+    assert_eq!(decision, PayloadDecision::Promote);
+    assert!(
+        block > 60 && sigma < config.max_mass_sigma,
+        "{block}: {sigma} kg"
+    );
+}
+
+/// Background test with `felt` where `carried` is in the torque: decisions with their blocks until the payload changes, in
+/// `windows` windows; torques of `height` times the noise of one standard deviation.
+fn background(
+    carried: &Payload,
+    felt: &Payload,
+    (height, windows): (f32, u32),
+) -> std::vec::Vec<(u32, PayloadDecision)> {
+    let config = config();
+    let mut test = PayloadHypothesisTest::new(&config, carried);
+    let mut random = 1u64;
+    let mut decisions = std::vec::Vec::new();
+    for block in 1..windows * config.window_blocks {
+        for k in 0..PAYLOAD_PARAMETERS + 2 {
+            let mut row = NO_PAYLOAD;
+            row[k % PAYLOAD_PARAMETERS] = height;
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            // Uniform, of variance 1.
+            let noise = 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0);
+            let tau = payload_torque(felt, &row) + 0.1 * noise;
+            test.add_row(carried, &row, tau, 0.1, 0.1);
+        }
+        let decision = test.decide(&config, *carried != NO_PAYLOAD, false, 1.0);
+        decisions.extend(decision.map(|decision| (block, decision)));
+        if decision.is_some_and(PayloadDecision::is_change) {
+            break;
+        }
+        if test.blocks() >= config.window_blocks {
+            test.restart(&config, carried);
+        }
+    }
+    decisions
+}
+
+/// The change of the payload in such a test.
+fn found(carried: &Payload, felt: &Payload, how: (f32, u32)) -> Option<(u32, PayloadDecision)> {
+    let mut decisions = background(carried, felt, how).into_iter();
+    decisions.find(|(_, decision)| decision.is_change())
+}
+
+#[test]
+fn a_payload_below_the_noise_is_found_in_the_background_and_noise_is_none() {
+    let mut light = NO_PAYLOAD;
+    light[0] = 0.3;
+    assert_eq!(found(&NO_PAYLOAD, &NO_PAYLOAD, (0.3, 1)), None);
+    assert_eq!(found(&light, &light, (0.3, 1)), None);
+    for (carried, felt, wanted) in [
+        (NO_PAYLOAD, light, PayloadDecision::Promote),
+        (light, NO_PAYLOAD, PayloadDecision::Release),
+    ] {
+        let (block, decision) = found(&carried, &felt, (0.3, 1)).expect("a change");
+        assert!(decision == wanted && block > 20, "{block}: {decision:?}");
+    }
+}
+
+#[test]
+fn a_release_is_found_though_no_window_alone_shows_it() {
+    let mut light = NO_PAYLOAD;
+    light[0] = 0.3;
+    let window = config().window_blocks;
+    let (block, decision) = found(&light, &NO_PAYLOAD, (0.08, 20)).expect("a change");
+    assert!(decision == PayloadDecision::Release, "{decision:?}");
+    assert!(block > window, "{block}");
+    assert_eq!(found(&light, &light, (0.08, 20)), None);
+}
+
+#[test]
+fn what_a_body_explains_is_no_transient_though_it_is_quiet() {
+    let mut light = NO_PAYLOAD;
+    light[0] = 0.3;
+    for (felt, transient) in [(NO_PAYLOAD, true), (light, false)] {
+        let decisions = background(&NO_PAYLOAD, &felt, (1.0, 1));
+        let over = decisions
+            .iter()
+            .find(|(_, decision)| *decision == PayloadDecision::Transient);
+        assert_eq!(over.is_some(), transient, "{decisions:?}");
+        assert!(over.is_none_or(|(block, _)| *block < 10), "{decisions:?}");
+    }
+}
