@@ -4,18 +4,17 @@
 //! that it lacks are zero.
 
 mod column;
-mod parameters;
 mod typed;
 
 use crate::wire::{CRC, Name};
-pub use column::{ColumnId, ColumnKind, NoColumnKind, columns};
+pub(crate) use column::config as feed_forward_config;
+pub use column::{ColumnId, ColumnKind, NoColumnKind, Parameters, columns};
 use foretorque::arm::most_parameters;
 use foretorque::dynamics::FRICTION_COLUMNS;
 pub use foretorque::dynamics::MAX_JOINTS;
 use heapless::Vec;
-pub use parameters::Parameters;
-pub(crate) use parameters::config as feed_forward_config;
-use postcard::ser_flavors::{Slice, crc::CrcModifier};
+use postcard::ser_flavors::Slice;
+use postcard::ser_flavors::crc::CrcModifier;
 use serde::{Deserialize, Serialize};
 pub use typed::NETWORK_SEED;
 pub(crate) use typed::{name, slots};
