@@ -5,7 +5,6 @@ mod capi;
 mod circles;
 mod flash;
 mod fuzz;
-mod outside;
 mod runs;
 mod setup;
 mod shell;

@@ -1,5 +1,4 @@
-use super::typed::NETWORK_SEED;
-use super::{BankError, JointBounds, MAX_COLUMNS, ParameterBank};
+use super::{BankError, JointBounds, MAX_COLUMNS, NETWORK_SEED, ParameterBank};
 use core::fmt;
 use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn, Pose, friction_under, rnea_of};

@@ -16,9 +16,10 @@ use heapless::Vec;
 use postcard::ser_flavors::Slice;
 use postcard::ser_flavors::crc::CrcModifier;
 use serde::{Deserialize, Serialize};
-pub use typed::NETWORK_SEED;
 pub(crate) use typed::{name, slots};
 
+/// Seed of the random hidden layers of an untrained bank.
+pub const NETWORK_SEED: u32 = 1;
 /// Most linear columns: base parameters and friction of eight joints. A larger number does not change the format.
 pub const MAX_COLUMNS: usize = most_parameters(MAX_JOINTS) + MAX_JOINTS * FRICTION_COLUMNS;
 /// Most network weights.

@@ -16,18 +16,19 @@ pub mod promises;
 mod reason;
 mod task_check_in;
 
-use foretorque::arm::Arm;
-use foretorque::feedforward::{FeedForward, ParameterSet, Torque, gravity};
-use foretorque::joint::{JointSample, JointVector};
-use foretorque::limits::{Flags, cut, limit};
-use input::InputState;
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
-use limits::ThermalDerating;
 pub use limits::{
     COMMAND_TIMEOUT_US, HOT_C, HYSTERESIS_C, MEASUREMENT_TIMEOUT_US, SafetyLimits, WARM_C,
 };
 pub use reason::{SafetyReason, SafetyState, SafetyStatus};
 pub use task_check_in::{Task, TaskCheckIn};
+
+use foretorque::arm::Arm;
+use foretorque::feedforward::{FeedForward, ParameterSet, Torque, gravity};
+use foretorque::joint::{JointSample, JointVector};
+use foretorque::limits::{Flags, cut, limit};
+use input::InputState;
+use limits::ThermalDerating;
 
 /// The safety of one board: state machine, hard limits, plausibility of the input.
 ///

@@ -13,18 +13,19 @@ mod housekeeping;
 mod mailbox;
 mod protocol;
 
+pub use board::{BoardDescription, Clock, LocalSensor, NoClock, NoLocalSensor};
+pub use housekeeping::{Housekeeping, NoFlash};
+pub use mailbox::{LearnerMailbox, Mailboxes, ParameterMailbox};
+
 use crate::safety::{SafetyReason, SafetyStatus};
 use crate::telemetry::{Cost, Statistics};
 use crate::wire::{BoardMessage, Configuration, FrameBuffer, SampleFrame};
-pub use board::{BoardDescription, Clock, LocalSensor, NoClock, NoLocalSensor};
 use controller::{Controller, TickResult};
 use core::mem::MaybeUninit;
 use foretorque::arm::Arm;
 use foretorque::feedforward::FeedForward;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::ConfigError;
-pub use housekeeping::{Housekeeping, NoFlash};
-pub use mailbox::{LearnerMailbox, Mailboxes, ParameterMailbox};
 use protocol::{Instant, Protocol};
 
 /// One connection of a board to a host: protocol, controller and counters.
