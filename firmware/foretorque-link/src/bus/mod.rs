@@ -25,7 +25,7 @@ use core::fmt;
 pub use drives::{BusDrives, BusPhase};
 use foretorque::arm::Arm;
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
-use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque::learning::{ParameterSet, Request, RequestPending};
 pub use joint::JointCounters;
 
@@ -211,34 +211,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         self.safety.status()
     }
 
-    /// Stage of the loop.
-    pub fn phase(&self) -> BusPhase {
-        self.drives.phase()
-    }
-
-    /// Fault that ended the torque, or prevented it; stands until [`clear`](Self::clear).
-    pub fn fault(&self) -> Option<BusFault> {
-        self.drives.fault()
-    }
-
-    /// Counters of a joint.
-    pub fn counters(&self, joint: usize) -> JointCounters {
-        self.drives.counters(joint)
-    }
-
-    /// Periods since the last reply of a joint.
-    pub fn age(&self, joint: usize) -> u16 {
-        self.drives.age(joint)
-    }
-
-    /// Frames that no drive of the profile sends.
-    pub fn strays(&self) -> u32 {
-        self.drives.strays()
-    }
-
-    /// Last known positions, N × rad, where every drive has replied since the start.
-    pub fn positions(&self) -> Option<JointVector<N>> {
-        self.drives.positions()
+    /// The drives: stage, fault, counters, positions.
+    pub fn drives(&self) -> &BusDrives<N> {
+        &self.drives
     }
 
     /// Switches learning on or off from the next tick on.
@@ -275,17 +250,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         self.drives.arm()
     }
 
-    /// Every drive replies, and reports no fault and the scales of its profile.
-    ///
-    /// Errors: the first that does not.
-    pub fn ready(&self) -> Result<(), BusFault> {
-        self.drives.ready()
-    }
-
     /// Ramps the torque to zero, damps, and switches the drives off.
     pub fn disarm(&mut self) {
         self.safety.disarm();
-        if let BusPhase::Enabling(_) = self.phase() {
+        if let BusPhase::Enabling(_) = self.drives.phase() {
             self.drives.stop();
         }
     }
@@ -337,7 +305,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
             .follow(sample.as_ref().map(|sample| &sample.desired));
         let (enabled, safety) = (self.safety.enabled(), &mut self.safety);
         self.drives.advance(enabled, || safety.arm().is_ok());
-        if self.fault().is_some() {
+        if self.drives.fault().is_some() {
             self.safety.trip(SafetyReason::Drive);
         }
         let armed = self.safety.status().state == SafetyState::Armed;
@@ -346,7 +314,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
             torque,
             measured,
             status: self.safety.status(),
-            phase: self.phase(),
+            phase: self.drives.phase(),
             saturation,
         }
     }

@@ -1,7 +1,6 @@
 //! Size and setup of the main job, arm, controller, paths and the wrong prior of every board; and its stages.
 
-use crate::prior::bank_of;
-use crate::{Progress, StudyError};
+use crate::{Progress, StudyError, bank_of};
 use foretorque::arm::Arm;
 use foretorque::feedforward::Torque;
 use foretorque_link::bank::ParameterBank;

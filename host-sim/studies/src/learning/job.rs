@@ -4,7 +4,7 @@ use super::arms::WorldArm;
 use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::StudyError;
-use crate::prior::bank_of;
+use crate::bank_of;
 use foretorque::arm::Arm;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::learning::rated_payload;
