@@ -5,6 +5,7 @@ mod capi;
 mod circles;
 mod flash;
 mod fuzz;
+mod outside;
 mod runs;
 mod setup;
 mod shell;

@@ -1,18 +1,20 @@
 //! Every gate in one command. A failing gate does not hide the ones after it.
 
-use std::collections::BTreeSet;
 use std::io::{BufRead as _, BufReader};
-use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, bail};
 use foretorque_cost as cost;
 
+use crate::capi;
+use crate::circles;
+use crate::fuzz;
+use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
-use crate::toolchain::{self, TARGET, Toolchain, Tools};
-use crate::{capi, circles, fuzz, words};
+use crate::toolchain::{self, Tools};
+use crate::words;
 
 /// Result of a gate.
 struct Outcome {
@@ -54,7 +56,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         let names = [cost::JOINT, cost::DRIVE, cost::CAN];
         cost::check_firmware(&toolchain::elves(), &names)
     }));
-    outcomes.push(pass("crate outside", || outside(tools)));
+    outcomes.push(pass("crate outside", || outside::gate(tools)));
     outcomes.push(pass("words", words::run));
     outcomes.push(pass("circles", circles::run));
     outcomes.push(pass("library for C", || {
@@ -183,74 +185,6 @@ fn attribute(seen: Counts, ended_well: bool) -> Counts {
     }
 }
 
-/// Manifest of a user's crate with its own arm and critical section.
-const OWN_ARM: &str = "firmware/foretorque/examples/own_arm/Cargo.toml";
-/// Manifest of a user's RTIC application.
-const RTIC: &str = "firmware/foretorque/examples/rtic/Cargo.toml";
-/// Packages that others can depend on, in the order of publication.
-const PUBLISHABLE: [&str; 2] = ["foretorque", "foretorque-link"];
-/// Cortex-M33 with FPU, which rustup installs on request.
-const OTHER_TARGET: &str = "thumbv8m.main-none-eabihf";
-/// Crates that the user of the library gets at most, the user's own included.
-const MOST_CRATES: usize = 30;
-/// Parts of the names of crates that belong to a board or an executor.
-const FOREIGN: [&str; 4] = ["cortex-m", "stm32", "rtic", "embassy"];
-
-/// Links both crates for [`TARGET`], the first one for [`OTHER_TARGET`] too where its core is installed; counts its crates
-/// and packages the publishable ones.
-fn outside(tools: Tools) -> Result<()> {
-    for (manifest, target) in [(OWN_ARM, TARGET), (OWN_ARM, OTHER_TARGET), (RTIC, TARGET)] {
-        if target != TARGET && !installed(tools.board, target)? {
-            println!("skipped for {target}: `rustup target add {target}` installs its core");
-            continue;
-        }
-        let mut build = tools.board.tool("cargo");
-        build.args(["build", "--release", "--locked", "--target", target]);
-        build.args(["--target-dir", "target/outside"]);
-        build.args(["--manifest-path", manifest]);
-        shell::run(&mut build)?;
-    }
-    let mut tree = tools.board.tool("cargo");
-    tree.args(["tree", "--locked", "--target", TARGET, "-e", "normal"]);
-    tree.args(["--prefix", "none", "--manifest-path", OWN_ARM]);
-    let output = tree.output().context("cannot start `cargo tree`")?;
-    ensure!(output.status.success(), "`cargo tree` failed");
-    let count = judge(&String::from_utf8_lossy(&output.stdout))?;
-    println!("a crate outside links with {count} crates");
-
-    let mut package = tools.host.tool("cargo");
-    package.args(["package", "--quiet", "--allow-dirty", "--no-verify"]);
-    for name in PUBLISHABLE {
-        package.args(["-p", name]);
-    }
-    shell::run(&mut package)
-}
-
-/// The core of `target` is there.
-fn installed(toolchain: Toolchain, target: &str) -> Result<bool> {
-    let mut rustc = toolchain.tool("rustc");
-    let output = rustc.args(["--print", "sysroot"]).output();
-    let sysroot = output.context("cannot start `rustc`")?.stdout;
-    let sysroot = String::from_utf8_lossy(&sysroot);
-    let libraries = Path::new(sysroot.trim()).join("lib/rustlib").join(target);
-    Ok(libraries.join("lib").is_dir())
-}
-
-/// Number of the crates in `tree`; an error if there are too many, or foreign ones.
-fn judge(tree: &str) -> Result<usize> {
-    let names = tree.lines().filter_map(|line| line.split(' ').next());
-    let crates: BTreeSet<&str> = names.filter(|name| !name.is_empty()).collect();
-    ensure!(crates.contains("foretorque"), "no foretorque in:\n{tree}");
-    if crates.len() > MOST_CRATES {
-        bail!("{} crates, more than {MOST_CRATES}:\n{tree}", crates.len());
-    }
-    let foreign = |name: &&&str| FOREIGN.iter().any(|part| name.contains(part));
-    if let Some(name) = crates.iter().find(foreign) {
-        bail!("`{name}` comes along with foretorque");
-    }
-    Ok(crates.len())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -277,19 +211,5 @@ test result: nonsense";
             let seen = Counts { passed: 7, failed };
             assert_eq!(attribute(seen, ended_well).failed, expected);
         }
-    }
-
-    #[test]
-    fn a_crate_counts_once() {
-        let tree = "own_arm v0.1.0 (/x)\nforetorque v0.1.0 (/y)\nlibm v0.2.16\nlibm v0.2.16 (*)\n";
-        assert_eq!(judge(tree).unwrap(), 3);
-    }
-
-    #[test]
-    fn too_many_and_foreign_crates_are_refused() {
-        let many: String = (0..MOST_CRATES).map(|n| format!("a{n} v1.0.0\n")).collect();
-        assert!(judge(&format!("{many}foretorque v0.1.0\n")).is_err());
-        assert!(judge("foretorque v0.1.0\ncortex-m-rt v0.7.5\n").is_err());
-        assert!(judge("own_arm v0.1.0\n").is_err());
     }
 }
