@@ -2,9 +2,7 @@
 
 mod bad_input;
 mod bags;
-mod board_excitation;
 mod cli;
-mod cli_boards;
 mod cli_bus;
 mod clients;
 mod excitation;

@@ -1,9 +1,10 @@
 //! Dynamics against tables made by Pinocchio (`tests/data/pinocchio/README.md`).
 
-use acceptance::arms::{description, oblique::Oblique};
-use acceptance::each_arm;
-use acceptance::table::Table;
-use foretorque::arm::{Arm, LINK_PARAMETERS, ur5::Ur5};
+use acceptance::arms::description;
+use acceptance::arms::oblique::Oblique;
+use acceptance::{Table, each_arm};
+use foretorque::arm::ur5::Ur5;
+use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};

@@ -1,8 +1,7 @@
 //! The tables of Pinocchio (`tests/data/pinocchio/README.md`) against the firmware's f32 code as the emulated processor
 //! runs it: the ELF `oracle`, built for the board, all arms in one run.
 
-use acceptance::each_arm;
-use acceptance::table::Table;
+use acceptance::{Table, each_arm};
 use foretorque::arm::Arm;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

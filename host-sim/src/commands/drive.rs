@@ -351,8 +351,10 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             jitter_median_us: median,
             jitter_999_us: high,
             jitter_largest_us: largest,
-            periods_without_reply: (0..N).map(|j| controller.counters(j).lost).collect(),
-            foreign_frames: controller.strays(),
+            periods_without_reply: (0..N)
+                .map(|j| controller.drives().counters(j).lost)
+                .collect(),
+            foreign_frames: controller.drives().strays(),
             ended: played.ended.clone(),
         };
         write_json(&out.join("drive.json"), &summary)?;

@@ -17,7 +17,6 @@ mod faults;
 mod generate;
 mod identify;
 mod motion_log;
-mod on_board;
 mod record;
 mod replay;
 mod run;

@@ -1,12 +1,10 @@
 use super::arm::{RobotOptions, with_rotors};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::{Effort, MotionLog};
-use super::terminal::Bar;
-use super::terminal::{keep_stdout_for, show};
+use super::terminal::{Bar, keep_stdout_for, show};
 use super::{Failure, not_negative, not_over, positive, unsupported, unusable};
 use clap::Args;
-use foretorque_workbench::closed_loop::ClosedLoop;
-use foretorque_workbench::closed_loop::control::PdConfig;
+use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::joints;
 use foretorque_workbench::plant::{Plant, PlantConfig};

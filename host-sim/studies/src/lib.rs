@@ -9,20 +9,21 @@ pub mod excitation;
 pub mod faults;
 pub mod learning;
 pub mod paper;
-pub mod prior;
 pub mod real_ur5;
 pub mod records;
 pub mod replay;
 
-use foretorque::learning::ConfigError;
-use foretorque_link::bank::BankError;
+use foretorque::arm::Arm;
+use foretorque::dynamics::FrictionColumn;
+use foretorque::learning::{ConfigError, ParameterSet};
+use foretorque_link::bank::{BankError, NETWORK_SEED, ParameterBank};
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::excitation::ExcitationError;
 use foretorque_workbench::identification::IdentifyError;
 use foretorque_workbench::report::ReportError;
 use foretorque_workbench::report::page::Page;
 use foretorque_workbench::report::plot::PlotError;
-use foretorque_workbench::robot::RobotError;
+use foretorque_workbench::robot::{Robot, RobotError};
 use foretorque_workbench::table::TableError;
 use std::io;
 
@@ -87,5 +88,38 @@ impl From<BankError> for StudyError {
 impl From<PlotError> for StudyError {
     fn from(error: PlotError) -> Self {
         Self::Report(error.into())
+    }
+}
+
+/// The parameter bank of a robot as described: rigid body, viscous and Coulomb friction, networks with zero output.
+///
+/// Assumes: `robot` has the geometry of `A`; only its masses and friction may differ from the description.
+pub fn bank_of<A: Arm<N, P>, const N: usize, const P: usize>(robot: &Robot) -> ParameterBank {
+    let mut set = ParameterSet::<N, P>::nominal::<A>(NETWORK_SEED);
+    for (place, value) in set.rigid.iter_mut().zip(robot.base_parameters()) {
+        *place = value as f32;
+    }
+    for (place, joint) in set.friction.iter_mut().zip(&robot.joints) {
+        place[FrictionColumn::Viscous] = joint.friction.viscous as f32;
+        place[FrictionColumn::Coulomb] = joint.friction.coulomb as f32;
+    }
+    ParameterBank::from_set::<A, N, P>(&set)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use foretorque::arm::ur5::Ur5;
+
+    #[test]
+    fn the_bank_of_the_description_holds_the_nominal_parameters_of_the_firmware() {
+        let robot = Robot::load("ur5").expect("built in");
+        let set = bank_of::<Ur5, 6, 40>(&robot)
+            .set::<Ur5, 6, 40>()
+            .expect("a bank for this arm");
+        for (found, nominal) in set.rigid.iter().zip(<Ur5 as Arm<6, 40>>::NOMINAL) {
+            assert!((found - nominal).abs() <= 1e-6 * nominal.abs().max(1.0));
+        }
+        assert_eq!(set.friction[0][FrictionColumn::Coulomb], 7.0);
     }
 }

@@ -4,9 +4,9 @@
 //! | module | contents |
 //! |---|---|
 //! | `app` | the schedule: `image!` makes the firmware of a board |
-//! | `arm`, `board` | the arm, and types that follow from it; properties of a board |
+//! | `arm`, `board` | the arm, and types that follow from it; properties of a board, its pins |
 //! | `odrive_v3`, `pyboard`, `pyboard_drive`, `can_board` | the boards |
-//! | `chip`, `clock`, `counter`, `pin` | constants, clocks, cost counter and pins of the chip |
+//! | `chip`, `clock`, `counter` | constants, clocks and cost counter of the chip |
 //! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | [`frame_bound`], `link` | serial link, its bound and the queues of its bytes |
@@ -59,8 +59,6 @@ pub mod link;
 mod log;
 #[cfg(target_os = "none")]
 pub mod odrive_v3;
-#[cfg(target_os = "none")]
-pub mod pin;
 #[cfg(target_os = "none")]
 pub mod pyboard;
 #[cfg(target_os = "none")]

@@ -6,9 +6,8 @@ use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::board::{Board, Ports};
+use crate::board::{Board, Pin, Port, Ports};
 use crate::drive::EnableOnly;
-use crate::pin::{Pin, Port};
 
 /// The board.
 pub struct Pyboard;

@@ -4,22 +4,22 @@
 //! that it lacks are zero.
 
 mod column;
-mod parameters;
 mod typed;
 
 use crate::wire::{CRC, Name};
-pub use column::{ColumnId, ColumnKind, NoColumnKind, columns};
+pub(crate) use column::config as feed_forward_config;
+pub use column::{ColumnId, ColumnKind, NoColumnKind, Parameters, columns};
 use foretorque::arm::most_parameters;
 use foretorque::dynamics::FRICTION_COLUMNS;
 pub use foretorque::dynamics::MAX_JOINTS;
 use heapless::Vec;
-pub use parameters::Parameters;
-pub(crate) use parameters::config as feed_forward_config;
-use postcard::ser_flavors::{Slice, crc::CrcModifier};
+use postcard::ser_flavors::Slice;
+use postcard::ser_flavors::crc::CrcModifier;
 use serde::{Deserialize, Serialize};
-pub use typed::NETWORK_SEED;
 pub(crate) use typed::{name, slots};
 
+/// Seed of the random hidden layers of an untrained bank.
+pub const NETWORK_SEED: u32 = 1;
 /// Most linear columns: base parameters and friction of eight joints. A larger number does not change the format.
 pub const MAX_COLUMNS: usize = most_parameters(MAX_JOINTS) + MAX_JOINTS * FRICTION_COLUMNS;
 /// Most network weights.

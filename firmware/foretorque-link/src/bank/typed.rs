@@ -2,7 +2,7 @@
 
 use super::column::columns;
 use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
-use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS};
+use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS, NETWORK_SEED};
 use crate::wire::Name;
 use foretorque::arm::Arm;
 use foretorque::dynamics::FRICTION_COLUMNS;
@@ -12,9 +12,6 @@ use foretorque::learning::{
     StartDeviations,
 };
 use heapless::Vec;
-
-/// Seed of the random hidden layers of an untrained bank.
-pub const NETWORK_SEED: u32 = 1;
 
 impl ParameterBank {
     /// The bank before any identification: rigid body of the description, no friction, networks with zero output, unknown

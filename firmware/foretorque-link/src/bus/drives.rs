@@ -98,11 +98,6 @@ impl<const N: usize> BusDrives<N> {
             .map_or_else(JointCounters::default, |link| link.counters)
     }
 
-    /// Periods since the last reply of a joint.
-    pub fn age(&self, joint: usize) -> u16 {
-        self.link(joint).map_or(u16::MAX, |link| link.age)
-    }
-
     /// Frames that no drive of the profile sends.
     pub fn strays(&self) -> u32 {
         self.strays

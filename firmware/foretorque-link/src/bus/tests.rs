@@ -127,8 +127,8 @@ impl Drives {
             self.period(&mut controller, Some(&rest), |_, _| true);
             let _ = controller.arm();
         }
-        let running = matches!(controller.phase(), BusPhase::Running(_));
-        assert!(running, "{:?}", controller.fault());
+        let running = matches!(controller.drives().phase(), BusPhase::Running(_));
+        assert!(running, "{:?}", controller.drives().fault());
         controller
     }
 }
@@ -164,8 +164,11 @@ fn arms_after_the_scales_and_sends_torque_and_ramped_gains() {
     for _ in 0..600 {
         drives.period(&mut controller, None, |_, _| true);
     }
-    assert_eq!((controller.phase(), drives.on), (BusPhase::Off, [false; 6]));
-    assert!(controller.fault().is_none());
+    assert_eq!(
+        (controller.drives().phase(), drives.on),
+        (BusPhase::Off, [false; 6])
+    );
+    assert!(controller.drives().fault().is_none());
 }
 
 #[test]
@@ -198,7 +201,7 @@ fn faults_of_the_replies_end_the_torque_with_their_joint() {
         for _ in 0..25 {
             drives.period(&mut controller, Some(&rest), change);
         }
-        let fault = controller.fault().expect(named).to_string();
+        let fault = controller.drives().fault().expect(named).to_string();
         assert!(fault.starts_with(named), "{fault}");
         assert!(!controller.status().state.eq(&SafetyState::Armed));
         let off = drives.torque.iter().all(|torque| torque.abs() < 0.05);
@@ -206,11 +209,11 @@ fn faults_of_the_replies_end_the_torque_with_their_joint() {
         for _ in 0..600 {
             drives.period(&mut controller, Some(&rest), change);
         }
-        assert_eq!(controller.phase(), BusPhase::Off, "{named}");
+        assert_eq!(controller.drives().phase(), BusPhase::Off, "{named}");
         let refusal = controller.arm().unwrap_err().to_string();
         assert_eq!(refusal, fault, "a fault stands");
         controller.clear().unwrap();
-        assert!(controller.fault().is_none());
+        assert!(controller.drives().fault().is_none());
     }
 }
 
@@ -223,7 +226,11 @@ fn a_scale_that_differs_and_a_bus_that_is_off_end_the_torque() {
     joint.drive.reply_scale(Scale::Torque, 20.0, &mut frames);
     controller.receive(0, &frames[0]);
     drives.period(&mut controller, Some(&JointMotion::zero()), |_, _| true);
-    let fault = controller.fault().expect("the scale differs").to_string();
+    let fault = controller
+        .drives()
+        .fault()
+        .expect("the scale differs")
+        .to_string();
     assert_eq!(
         fault,
         "joint 2: scale of torque is 200 in the profile, 20 in the drive"
@@ -231,21 +238,24 @@ fn a_scale_that_differs_and_a_bus_that_is_off_end_the_torque() {
     let mut controller = drives.started();
     controller.bus_off();
     assert_eq!(controller.status().state, SafetyState::RampDown);
-    assert_eq!(controller.fault().unwrap().to_string(), "the bus is off");
+    assert_eq!(
+        controller.drives().fault().unwrap().to_string(),
+        "the bus is off"
+    );
 }
 
 #[test]
 fn foreign_frames_and_any_bits_change_no_torque() {
     let mut drives = Drives::new();
     let mut controller = drives.started();
-    let strays = controller.strays();
+    let strays = controller.drives().strays();
     for id in 0..0x800 {
         if id != 0x40 {
             controller.receive(0, &Frame::standard(id, &[0xa5; 8]));
         }
         controller.receive(7, &Frame::extended(id, &[0x5a; 64]));
     }
-    assert_eq!(controller.strays() - strays, 0xfff);
+    assert_eq!(controller.drives().strays() - strays, 0xfff);
     let mut motion = JointMotion::<6>::zero();
     motion.q.fill(f32::NAN);
     let mut mailbox = LearnerMailbox::new();

@@ -1,8 +1,7 @@
 //! Check of an uploaded excitation: parameters at once, the series point by point over the ticks. Supervision while it plays.
 
-use super::path::{STOP_S, STOP_SHARE, stop_s};
-use super::program::{AbortReason, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
-use super::series::{JointSeries, PreparedSeries};
+use super::path::{JointSeries, PreparedSeries, STOP_S, STOP_SHARE, stop_s};
+use super::{AbortReason, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
 use foretorque::joint::{JointMotion, JointVector};
 
 /// Points of one period that are checked.

@@ -1,9 +1,10 @@
 use super::ExcitationState::{self, *};
 use super::check::{self, Supervision};
-use super::path::{Path, PathSpeed};
-use super::program::{AbortReason, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits};
-use super::series::{JointSeries, PreparedSeries};
-use super::{ExcitationCommand, ExcitationCommand as Command};
+use super::path::{JointSeries, Path, PathSpeed, PreparedSeries};
+use super::{
+    AbortReason, ExcitationCommand, ExcitationCommand as Command, ExcitationError,
+    ExcitationProgram, MotionBounds, PlayLimits,
+};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointSample, JointVector};
 

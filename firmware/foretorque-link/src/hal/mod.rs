@@ -7,14 +7,98 @@
 //! ```
 //! Every call is bounded: at most three bus transfers and a few pin accesses, without loops.
 
-mod enable;
 mod encoder;
 mod output;
 mod stage;
 
-pub use enable::TorqueEnable;
+use embedded_hal::digital::OutputPin;
 #[cfg(test)]
 pub(crate) use encoder::tests::Chip;
 pub use encoder::{AbsoluteEncoder, Direction, EncoderConfig, EncoderError, EncoderState};
 pub use output::{DacModel, OutputError, PwmWithDirection, SpiDac, TorqueOutput};
 pub use stage::{Driven, MotorStage, StageError, TorqueScale};
+
+/// The torque enable input of a motor stage, active high. Off after construction.
+///
+/// ```
+/// # use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
+/// # let pin = Mock::new(&[Transaction::set(State::Low), Transaction::set(State::High), Transaction::set(State::Low)]);
+/// let mut enable = foretorque_link::hal::TorqueEnable::new(pin)?;
+/// enable.on()?;
+/// assert!(enable.is_on());
+/// enable.off()?;
+/// # enable.release().done();
+/// # Ok::<(), embedded_hal_mock::eh1::MockError>(())
+/// ```
+#[derive(Debug)]
+pub struct TorqueEnable<Pin> {
+    pin: Pin,
+    on: bool,
+}
+
+impl<Pin: OutputPin> TorqueEnable<Pin> {
+    /// Takes the pin and switches torque off.
+    ///
+    /// Errors: those of the pin; it is then in an unknown state.
+    pub fn new(mut pin: Pin) -> Result<Self, Pin::Error> {
+        pin.set_low()?;
+        Ok(Self { pin, on: false })
+    }
+
+    /// Lets torque through. Errors: those of the pin; torque then counts as off.
+    pub fn on(&mut self) -> Result<(), Pin::Error> {
+        self.pin.set_high()?;
+        self.on = true;
+        Ok(())
+    }
+
+    /// Switches torque off. Errors: those of the pin; torque then counts as on, so that the caller tries again.
+    pub fn off(&mut self) -> Result<(), Pin::Error> {
+        self.pin.set_low()?;
+        self.on = false;
+        Ok(())
+    }
+
+    /// Torque may flow.
+    pub fn is_on(&self) -> bool {
+        self.on
+    }
+
+    /// Gives the pin back, as it is.
+    pub fn release(self) -> Pin {
+        self.pin
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TorqueEnable;
+    use embedded_hal_mock::eh1::MockError;
+    use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
+    use std::io::ErrorKind;
+
+    #[test]
+    fn a_pin_that_stays_high_counts_as_on() {
+        let broken = Transaction::set(State::Low).with_error(MockError::Io(ErrorKind::BrokenPipe));
+        let pin = Mock::new(&[
+            Transaction::set(State::Low),
+            Transaction::set(State::High),
+            broken,
+        ]);
+        let mut enable = TorqueEnable::new(pin).unwrap();
+        enable.on().unwrap();
+        assert!(enable.off().is_err());
+        assert!(enable.is_on());
+        enable.release().done();
+    }
+
+    #[test]
+    fn a_pin_that_stays_low_counts_as_off() {
+        let broken = Transaction::set(State::High).with_error(MockError::Io(ErrorKind::BrokenPipe));
+        let mut enable =
+            TorqueEnable::new(Mock::new(&[Transaction::set(State::Low), broken])).unwrap();
+        assert!(enable.on().is_err());
+        assert!(!enable.is_on());
+        enable.release().done();
+    }
+}

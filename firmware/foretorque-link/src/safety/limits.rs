@@ -88,3 +88,142 @@ impl<const N: usize> SafetyLimits<N> {
 fn ticks(time_us: u32, period_us: u32) -> u32 {
     time_us.checked_div(period_us).unwrap_or_default() + 1
 }
+
+/// Motor temperature above which the torque limit falls, °C: the 120 °C hot spot of class-E windings, less the difference
+/// between a sensor on the case and the copper.
+pub const WARM_C: i8 = 80;
+/// Motor temperature at which the torque ends, °C.
+pub const HOT_C: i8 = 100;
+/// Surplus over the reading while a motor cools, °C, so that the limit does not oscillate.
+pub const HYSTERESIS_C: i8 = 5;
+/// Temperature as which a motor counts, at least, whose temperature no longer arrives, °C.
+const OVERDUE_C: i8 = 85;
+/// Plausible readings, °C; others come from a broken sensor.
+const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
+
+/// Reduction of the torque limits by the motor temperatures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct ThermalDerating<const N: usize> {
+    /// Temperatures with hysteresis, °C; `None` is unknown, which limits nothing.
+    effective_c: [Option<i8>; N],
+    /// Motors with a reading since the last look at the ages, a bit each.
+    read: u32,
+    /// Periods since then.
+    periods: u32,
+}
+
+impl<const N: usize> ThermalDerating<N> {
+    /// All temperatures unknown.
+    pub(super) const fn new() -> Self {
+        Self {
+            effective_c: [None; N],
+            read: 0,
+            periods: 0,
+        }
+    }
+
+    /// Takes one period of time. A motor without a reading for `overdue` to twice as many periods counts as warm, unless
+    /// its temperature was never known.
+    pub(super) fn age(&mut self, overdue: u32) {
+        self.periods += 1;
+        if self.periods < overdue {
+            return;
+        }
+        self.periods = 0;
+        let read = core::mem::take(&mut self.read);
+        for (joint, effective) in self.effective_c.iter_mut().enumerate() {
+            if let Some(celsius) = effective
+                && read >> (joint % 32) & 1 == 0
+            {
+                *celsius = OVERDUE_C.max(*celsius);
+            }
+        }
+    }
+
+    /// Takes a reading of one motor, °C. An implausible one changes nothing.
+    pub(super) fn record(&mut self, joint: usize, celsius: i8) {
+        let Some(effective) = self.effective_c.get_mut(joint) else {
+            return;
+        };
+        if !PLAUSIBLE_C.contains(&celsius) {
+            return;
+        }
+        *effective = Some(match *effective {
+            // Warmer counts at once, cooler only beyond the hysteresis.
+            Some(before) => celsius.max(before.min(celsius.saturating_add(HYSTERESIS_C))),
+            None => celsius,
+        });
+        self.read |= 1 << (joint % 32);
+    }
+
+    /// Usable part of the torque limit of `joint`, 0 to 1.
+    pub(super) fn factor(&self, joint: usize) -> f32 {
+        match self.effective_c.get(joint).copied().flatten() {
+            Some(celsius) => {
+                let left = f32::from(HOT_C) - f32::from(celsius);
+                (left * (1.0 / (HOT_C - WARM_C) as f32)).clamp(0.0, 1.0)
+            }
+            None => 1.0,
+        }
+    }
+
+    /// A motor is at [`HOT_C`] or above.
+    pub(super) fn hot(&self) -> bool {
+        self.any(HOT_C)
+    }
+
+    /// A motor is above [`WARM_C`].
+    pub(super) fn warm(&self) -> bool {
+        self.any(WARM_C + 1)
+    }
+
+    fn any(&self, celsius: i8) -> bool {
+        let mut known = self.effective_c.iter().flatten();
+        known.any(|&effective| effective >= celsius)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_limit_falls_with_temperature_and_returns_with_hysteresis() {
+        let mut derating = ThermalDerating::<2>::new();
+        for (celsius, factor) in [
+            (25, 1.0),
+            (80, 1.0),
+            (90, 0.5),
+            (87, 0.5), // cooler by less than the hysteresis
+            (83, 0.6), // counts as 88 °C
+            (100, 0.0),
+            (127, 0.0), // implausible
+            (20, 1.0),
+            (95, 0.25),
+            (i8::MIN, 0.25),
+            (-100, 0.25),
+            (126, 0.25),
+        ] {
+            derating.record(1, celsius);
+            assert_eq!(derating.factor(1), factor, "{celsius} °C");
+            assert_eq!(derating.factor(0), 1.0);
+        }
+    }
+
+    #[test]
+    fn a_temperature_that_stops_arriving_counts_as_warm() {
+        let mut derating = ThermalDerating::<3>::new();
+        for k in 0..30 {
+            derating.record(0, 40);
+            if k < 10 {
+                derating.record(1, 40);
+            }
+            derating.age(10);
+            assert_eq!(derating.warm(), k >= 19, "period {k}");
+        }
+        assert_eq!([0, 1, 2].map(|j| derating.factor(j)), [1.0, 0.75, 1.0]);
+        // Cooler by more than the hysteresis.
+        derating.record(1, 40);
+        assert_eq!(derating.factor(1), 1.0);
+    }
+}

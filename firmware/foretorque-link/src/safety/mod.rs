@@ -15,20 +15,20 @@ mod limits;
 pub mod promises;
 mod reason;
 mod task_check_in;
-mod thermal_derating;
 
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
-pub use limits::{COMMAND_TIMEOUT_US, MEASUREMENT_TIMEOUT_US, SafetyLimits};
+pub use limits::{
+    COMMAND_TIMEOUT_US, HOT_C, HYSTERESIS_C, MEASUREMENT_TIMEOUT_US, SafetyLimits, WARM_C,
+};
 pub use reason::{SafetyReason, SafetyState, SafetyStatus};
 pub use task_check_in::{Task, TaskCheckIn};
-pub use thermal_derating::{HOT_C, HYSTERESIS_C, WARM_C};
 
 use foretorque::arm::Arm;
 use foretorque::feedforward::{FeedForward, ParameterSet, Torque, gravity};
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::{Flags, cut, limit};
 use input::InputState;
-use thermal_derating::ThermalDerating;
+use limits::ThermalDerating;
 
 /// The safety of one board: state machine, hard limits, plausibility of the input.
 ///

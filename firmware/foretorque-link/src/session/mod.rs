@@ -12,7 +12,6 @@ mod dispatch;
 mod housekeeping;
 mod mailbox;
 mod protocol;
-mod store;
 
 pub use board::{BoardDescription, Clock, LocalSensor, NoClock, NoLocalSensor};
 pub use housekeeping::{Housekeeping, NoFlash};

@@ -2,14 +2,12 @@
 
 mod model;
 pub mod panda;
-mod standard;
 pub mod ur5;
 
 use crate::dynamics::BaseParameters;
 pub(crate) use model::table;
-pub use model::{ArmModel, BaseIndex, most_parameters};
+pub use model::{ArmModel, BaseIndex, LinkInertia, base_parameters, most_parameters};
 use nalgebra::ArrayStorage;
-pub use standard::{LinkInertia, base_parameters};
 
 /// Constant placement of a joint frame in its parent frame, before the joint turns it about its own z axis.
 ///

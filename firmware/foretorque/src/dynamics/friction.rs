@@ -2,12 +2,14 @@
 //! that joint alone.
 
 mod columns;
+mod real;
 
 pub use columns::{
     COGGING_COLUMNS, DISSIPATION_BOUNDS, FRICTION_COLUMNS, FrictionBound, FrictionColumn,
     FrictionParameters, FrictionPoint, FrictionPrior, FrictionProperties, RANDOM_WALK_COLUMNS,
-    Real, SHEAR_WIDTH, STRIBECK_WIDTH, friction_prior,
+    SHEAR_WIDTH, STRIBECK_WIDTH, friction_prior,
 };
+pub use real::Real;
 
 use super::{Angles, gravity_torque, gravity_torque_at};
 use crate::arm::Arm;

@@ -4,7 +4,6 @@ mod activation;
 mod bp;
 mod descent;
 mod gradient;
-mod random;
 
 pub use activation::{Activation, Relu, Sigmoid, Tanh};
 pub use bp::BpNetwork;

@@ -8,7 +8,7 @@ mod run {
     use foretorque_f405::arm::BoardSession;
     use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS, init_learner};
     use foretorque_f405::counter::{self, Counter};
-    use foretorque_images::semihost::{Streams, exit};
+    use foretorque_images::{Streams, exit};
     use foretorque_link::session::{BoardDescription, Housekeeping, Mailboxes, NoLocalSensor};
     use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
     use stm32f4xx_hal::pac;

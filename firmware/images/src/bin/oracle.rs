@@ -11,7 +11,7 @@ mod run {
     use foretorque::arm::{Arm, panda::Panda, ur5::Ur5};
     use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
     use foretorque::joint::{JointMotion, JointVector};
-    use foretorque_images::semihost::{Streams, exit};
+    use foretorque_images::{Streams, exit};
     use foretorque_test_arms::*;
     use stm32f4xx_hal as _;
 

@@ -1,6 +1,6 @@
 //! The description file: TOML, units in the names of the fields.
 
-use super::coupling::{Coupling, CouplingFile};
+use super::body::{Coupling, CouplingFile};
 use super::{
     Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
     RobotError, Workspace,

@@ -5,16 +5,13 @@
 //! when the file is read.
 
 mod body;
-mod coupling;
-mod description;
 mod file;
 mod geometry;
 mod log_columns;
 mod overlay;
 mod write;
 
-pub use body::Perturbation;
-pub use coupling::Coupling;
+pub use body::{Coupling, Perturbation};
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 

@@ -2,8 +2,9 @@
 //! flashable firmware, over its USART.
 
 use super::record::{LearningPoint, LinkFigures, Tracking, UsartFigures, ValidationPoint};
-use super::setup::{DemoConfig, PAGE_POINTS, Setup};
-use super::stages::{ErrorCurve, ReplyBits, error_of, learn, predictions, track};
+use super::setup::{
+    DemoConfig, ErrorCurve, PAGE_POINTS, ReplyBits, Setup, error_of, learn, predictions, track,
+};
 use crate::{Progress, StudyError};
 use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::board::Client;

@@ -4,7 +4,6 @@ mod long_run;
 mod page;
 mod record;
 mod setup;
-mod stages;
 
 pub use record::{
     BeforeAfter, DemoReport, LearningPoint, LinkFigures, TickPhases, Tracking, UsartFigures,

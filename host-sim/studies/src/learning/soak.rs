@@ -2,7 +2,7 @@
 
 use super::PERIOD_S;
 use super::twin::{CHUNK, N, P, Set, twin};
-use crate::prior::bank_of;
+use crate::bank_of;
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;

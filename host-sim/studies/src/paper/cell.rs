@@ -321,8 +321,7 @@ mod tests {
     #[test]
     fn exact_torques_give_an_exact_model_of_possible_bodies() {
         let robot = Robot::load("ur5").expect("built in");
-        let excitation =
-            serde_json::from_str(crate::paper::config::PRECOMPUTED).expect("precomputed");
+        let excitation = serde_json::from_str(crate::paper::PRECOMPUTED).expect("precomputed");
         let mut bench = Bench::new(robot, &excitation, 2500).expect("six joints");
         bench.models[0].methods = &[MethodName::Consistent];
         bench.models[1].methods = &[];

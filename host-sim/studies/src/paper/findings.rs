@@ -2,7 +2,7 @@
 
 use super::cell::FrictionKind;
 use super::steps::Steps;
-use super::summary::{Condition, Times};
+use super::{Condition, Times};
 use std::collections::BTreeMap;
 
 /// A method that is this near to another, on the geometric mean, does as well.

@@ -2,30 +2,28 @@
 //!
 //! `steps` (1) excitation and joint sequence through inverse kinematics, (2) torques of known parameters, (3) the BP network
 //! on 80 % of them, (4) an arbitrary path. `cell` one draw of the robustness study: every method on the same rows.
-//! `summary` adds the draws up; `page` shows them, `findings` states them.
+//! `page` shows their sums, `findings` states them.
 
 mod cell;
-mod config;
 mod findings;
 mod page;
 mod rigid;
 mod steps;
-mod summary;
-
-pub use cell::{Cell, CellRecord, FRICTIONS, FrictionKind, MethodDraw};
-pub use config::{PaperConfig, PaperReport};
-pub use steps::{JointTorque, ParameterRow, Steps, Trained};
-pub use summary::{Condition, MethodSummary, Times};
 
 use crate::records::Records;
 use crate::{Outcome, Progress, StudyError};
 use cell::{Bench, ROWS};
+pub use cell::{Cell, CellRecord, FRICTIONS, FrictionKind, MethodDraw};
 use foretorque::arm::ur5::JOINTS;
+use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::parallel::cores;
 use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::Robot;
+use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::Path;
+pub use steps::{JointTorque, ParameterRow, Steps, Trained};
 
 /// Runs the study; its tables, pictures and times go to `out`. `None` if the records are only written.
 ///
@@ -55,7 +53,7 @@ pub fn run(
         return Ok(None);
     };
     let (steps, curves) = steps::run(&bench.robot, &config.excitation, config.seed)?;
-    let conditions = summary::summarise(&records);
+    let conditions = summarise(&records);
     let report = PaperReport {
         version: env!("CARGO_PKG_VERSION"),
         findings: findings::findings(&steps, &conditions),
@@ -63,7 +61,7 @@ pub fn run(
         conditions,
         config,
     };
-    let times = summary::times(&records);
+    let times = times(&records);
     curves.write(out)?;
     for (name, picture) in page::pictures(&report, &curves)? {
         write_whole(&out.join(name), picture.as_bytes())?;
@@ -74,4 +72,233 @@ pub fn run(
         text: page::text(&report),
         report,
     }))
+}
+
+/// The excitation that `host-sim excite --robot ur5` finds.
+const PRECOMPUTED: &str = include_str!("../../../paths/ur5-excitation.json");
+
+/// Settings of the study.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PaperConfig {
+    /// Seed of the steps; the study uses this and the following ones.
+    pub seed: u64,
+    /// Draws of each condition: arm, noise, outliers, split and unseen path.
+    pub seeds: u64,
+    /// Standard deviation of the torque noise, % of the torque limit.
+    pub noise_percent: Vec<f64>,
+    /// Share of the samples of each joint that are outliers, %.
+    pub outlier_percent: Vec<f64>,
+    /// Friction of the arm.
+    pub friction: Vec<FrictionKind>,
+    /// Numbers of training rows for the efficiency study (1 % noise, Coulomb and viscous friction, no outliers).
+    pub rows: Vec<usize>,
+    /// The excitation.
+    pub excitation: Excitation,
+}
+
+impl PaperConfig {
+    /// The whole study; if `quick`, few levels and draws.
+    ///
+    /// Errors: none in an undamaged program.
+    pub fn new(quick: bool, seed: u64, seeds: u64) -> Result<Self, StudyError> {
+        let whole = Self {
+            seed,
+            seeds,
+            noise_percent: vec![0.0, 0.5, 1.0, 2.0, 5.0],
+            outlier_percent: vec![0.0, 1.0],
+            friction: FRICTIONS.to_vec(),
+            rows: vec![50, 100, 200, 500, 1000],
+            excitation: serde_json::from_str(PRECOMPUTED)?,
+        };
+        Ok(match quick {
+            true => Self {
+                seeds: seeds.min(2),
+                noise_percent: vec![1.0],
+                friction: vec![FrictionKind::CoulombViscous],
+                rows: vec![100],
+                ..whole
+            },
+            false => whole,
+        })
+    }
+
+    /// All cells in the order of the jobs: conditions, then numbers of rows, each with all seeds.
+    fn cells(&self) -> Vec<Cell> {
+        let mut kinds = Vec::new();
+        for &outlier_percent in &self.outlier_percent {
+            for &friction in &self.friction {
+                for &noise_percent in &self.noise_percent {
+                    kinds.push((noise_percent, friction, outlier_percent, ROWS * 4 / 5));
+                }
+            }
+        }
+        for &rows in &self.rows {
+            kinds.push((1.0, FrictionKind::CoulombViscous, 0.0, rows));
+        }
+        let seeds = self.seed..self.seed + self.seeds;
+        kinds
+            .into_iter()
+            .flat_map(|(noise_percent, friction, outlier_percent, rows)| {
+                seeds.clone().map(move |seed| Cell {
+                    noise_percent,
+                    friction,
+                    outlier_percent,
+                    rows,
+                    seed,
+                })
+            })
+            .collect()
+    }
+}
+
+/// `report.json`: all figures but the times, which no run repeats.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PaperReport {
+    /// Version of this program.
+    pub version: &'static str,
+    /// Settings.
+    pub config: PaperConfig,
+    /// The figures as sentences.
+    pub findings: Vec<String>,
+    /// Steps (1) to (4) of the paper.
+    pub steps: Steps,
+    /// Conditions of the robustness study, then numbers of rows, each with all methods.
+    pub conditions: Vec<Condition>,
+}
+
+/// One condition with all its draws.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Condition {
+    /// Standard deviation of the torque noise, % of the torque limit.
+    pub noise_percent: f64,
+    /// Friction of the arm.
+    pub friction: FrictionKind,
+    /// Share of the samples of each joint that are outliers, %.
+    pub outlier_percent: f64,
+    /// Training rows.
+    pub rows: usize,
+    /// Draws.
+    pub draws: usize,
+    /// Methods by name, over the draws in which they found a model.
+    pub methods: BTreeMap<String, MethodSummary>,
+    /// Methods that found none, and in how many draws.
+    pub failed: BTreeMap<String, usize>,
+}
+
+impl Condition {
+    /// The condition of the efficiency study: 1 % noise, Coulomb and viscous friction, no outliers.
+    fn is_plain(&self) -> bool {
+        self.noise_percent == 1.0
+            && self.outlier_percent == 0.0
+            && self.friction == FrictionKind::CoulombViscous
+    }
+}
+
+/// One method in one condition.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MethodSummary {
+    /// Torque error on unseen paths, root mean square over the draws, a ratio.
+    pub path_nrmse_ratio: f64,
+    /// The smallest of the draws.
+    pub path_nrmse_least_ratio: f64,
+    /// The largest of the draws.
+    pub path_nrmse_most_ratio: f64,
+    /// Error on the held-out 20 % of the excitation, root mean square over the draws, a ratio.
+    pub split_nrmse_ratio: f64,
+    /// Mean number of epochs or iterations.
+    pub epochs: f64,
+}
+
+/// Seconds of training of every method: least of the draws, by number of training rows. No run repeats them.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Times {
+    /// Meaning of the rows.
+    pub note: &'static str,
+    /// Method, then rows and seconds.
+    pub least_seconds: BTreeMap<String, Vec<(usize, f64)>>,
+}
+
+/// The conditions in the order of the jobs.
+fn summarise(records: &[CellRecord]) -> Vec<Condition> {
+    let same = |a: &&CellRecord, b: &&CellRecord| {
+        let key = |r: &CellRecord| {
+            let cell = r.cell;
+            (
+                cell.noise_percent.to_bits(),
+                cell.outlier_percent.to_bits(),
+                cell.rows,
+            )
+        };
+        key(a) == key(b) && a.cell.friction == b.cell.friction
+    };
+    let records: Vec<&CellRecord> = records.iter().collect();
+    let groups = records.chunk_by(same);
+    groups
+        .filter_map(|draws| {
+            let first = draws.first()?;
+            let mut methods: BTreeMap<&String, Vec<&MethodDraw>> = BTreeMap::new();
+            let mut failed: BTreeMap<String, usize> = BTreeMap::new();
+            for record in draws {
+                for (name, draw) in &record.methods {
+                    methods.entry(name).or_default().push(draw);
+                }
+                for name in record.failed.keys() {
+                    *failed.entry(name.clone()).or_default() += 1;
+                }
+            }
+            let methods = methods.into_iter();
+            let methods = methods.map(|(name, own)| (name.clone(), MethodSummary::of(&own)));
+            Some(Condition {
+                noise_percent: first.cell.noise_percent,
+                friction: first.cell.friction,
+                outlier_percent: first.cell.outlier_percent,
+                rows: first.cell.rows,
+                draws: draws.len(),
+                methods: methods.collect(),
+                failed,
+            })
+        })
+        .collect()
+}
+
+impl MethodSummary {
+    fn of(draws: &[&MethodDraw]) -> Self {
+        let count = draws.len().max(1) as f64;
+        let rms = |pick: fn(&MethodDraw) -> f64| {
+            (draws.iter().map(|d| pick(d).powi(2)).sum::<f64>() / count).sqrt()
+        };
+        let path = || draws.iter().map(|d| d.path_nrmse_ratio);
+        Self {
+            path_nrmse_ratio: rms(|d| d.path_nrmse_ratio),
+            path_nrmse_least_ratio: path().fold(f64::INFINITY, f64::min),
+            path_nrmse_most_ratio: path().fold(0.0, f64::max),
+            split_nrmse_ratio: rms(|d| d.split_nrmse_ratio),
+            epochs: draws.iter().map(|d| d.epochs as f64).sum::<f64>() / count,
+        }
+    }
+}
+
+/// Least times of training: what else the machine does only adds to them.
+fn times(records: &[CellRecord]) -> Times {
+    let mut all: BTreeMap<String, BTreeMap<usize, Vec<f64>>> = BTreeMap::new();
+    for record in records {
+        for (name, draw) in &record.methods {
+            let own = all.entry(name.clone()).or_default();
+            own.entry(record.cell.rows).or_default().push(draw.seconds);
+        }
+    }
+    let least = |seconds: Vec<f64>| seconds.into_iter().fold(f64::INFINITY, f64::min);
+    let by_rows = |own: BTreeMap<usize, Vec<f64>>| {
+        let times = own
+            .into_iter()
+            .map(|(rows, seconds)| (rows, least(seconds)));
+        times.collect()
+    };
+    Times {
+        note: "seconds of training, sums over the rows apart, least of all draws (other work only adds); rows, seconds",
+        least_seconds: all
+            .into_iter()
+            .map(|(name, own)| (name, by_rows(own)))
+            .collect(),
+    }
 }

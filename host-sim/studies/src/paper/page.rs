@@ -1,10 +1,9 @@
 //! The study as a page and as pictures: the paper's Fig. 3 and Fig. 6, the losses, robustness and efficiency.
 
 use super::cell::{FRICTIONS, FrictionKind};
-use super::config::PaperReport;
 use super::findings::{of_times, percent};
 use super::rigid::Curves;
-use super::summary::{Condition, Times};
+use super::{Condition, PaperReport, Times};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};
 use foretorque_workbench::report::page::{Legend, Page, Section, or_dash};

@@ -2,7 +2,9 @@
 
 mod logs;
 mod record;
-mod scores;
+
+pub use logs::ReplayPath;
+pub use record::{PathScores, ReplayDecision, ReplayReport};
 
 use crate::real_ur5::{PATHS, geometric_mean};
 use crate::{Outcome, Progress, StudyError};
@@ -14,12 +16,8 @@ use foretorque::learning::{Exchange, Learner, LearnerConfig, StartDeviations};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
-pub use logs::ReplayPath;
-pub use record::{PathScores, ReplayDecision, ReplayReport};
-
-use logs::Stretch;
+use logs::{Scores, Stretch};
 use record::Predictions;
-use scores::Scores;
 use std::collections::VecDeque;
 use std::path::Path;
 
@@ -335,7 +333,7 @@ fn within_1_1<A: Arm<N, P>, const N: usize, const P: usize>(
         times.push(match first {
             Some(stretch) => {
                 let predicted = play(&mut board, &mut VecDeque::new(), stretch);
-                scores::motion_until_close(
+                logs::motion_until_close(
                     stretch,
                     &predicted.newest,
                     WINDOW_S / start.period_s,

@@ -1,10 +1,9 @@
 //! Which bus, and how it is reached.
 
-use super::BusError;
 use super::socketcan::SocketCan;
 use super::text::{TextForm, TextLine};
 use super::udp::UdpMulticast;
-use super::wired::Line;
+use super::{BusError, Line};
 use std::fmt;
 use std::str::FromStr;
 

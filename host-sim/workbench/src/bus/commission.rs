@@ -165,7 +165,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         }
         self.listen()?;
         for joint in 0..N {
-            let counters = self.player.controller.counters(joint);
+            let counters = self.player.controller.drives().counters(joint);
             let config = self.player.controller.config().joints[joint];
             if counters.replies == 0 {
                 let (id, bus) = (config.drive.id, config.bus);
@@ -189,7 +189,11 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 return Err(mistake(joint, format!("two drives answer at id {id}")));
             }
         }
-        self.player.controller.ready().map_err(BusError::Fault)
+        self.player
+            .controller
+            .drives()
+            .ready()
+            .map_err(BusError::Fault)
     }
 
     /// Identifiers of the drives of a joint's kind that answer, with their buses.

@@ -143,7 +143,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             }
         }
         if let Some(fault) = refusal {
-            let answered = (0..N).any(|joint| self.controller.counters(joint).replies > 0);
+            let answered = (0..N).any(|joint| self.controller.drives().counters(joint).replies > 0);
             return Err(if answered {
                 BusError::Fault(fault)
             } else {
@@ -152,10 +152,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         }
         for _ in 0..arming {
             self.rest_tick()?;
-            if let BusPhase::Running(_) = self.controller.phase() {
+            if let BusPhase::Running(_) = self.controller.drives().phase() {
                 return Ok(self.positions());
             }
-            if let Some(fault) = self.controller.fault() {
+            if let Some(fault) = self.controller.drives().fault() {
                 return Err(BusError::Fault(fault));
             }
         }
@@ -181,7 +181,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
 
     /// Errors: the reason that has ended the torque.
     pub fn check(&self) -> Result<(), BusError> {
-        if let Some(fault) = self.controller.fault() {
+        if let Some(fault) = self.controller.drives().fault() {
             return Err(BusError::Fault(fault));
         }
         match self.controller.status() {
@@ -198,7 +198,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         let ticks = (2.0 / self.period_s()) as usize;
         for _ in 0..ticks {
             self.tick(None)?;
-            if self.controller.phase() == BusPhase::Off {
+            if self.controller.drives().phase() == BusPhase::Off {
                 break;
             }
         }
@@ -212,13 +212,14 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
     /// Last known positions, rad.
     pub fn positions(&self) -> JointVector<N> {
         self.controller
+            .drives()
             .positions()
             .unwrap_or_else(JointVector::zeros)
     }
 
     /// A period in which the arm is to stay where it is.
     fn rest_tick(&mut self) -> Result<(), BusError> {
-        let here = self.controller.positions().map(|q| JointMotion {
+        let here = self.controller.drives().positions().map(|q| JointMotion {
             q,
             ..JointMotion::zero()
         });

@@ -1,6 +1,6 @@
 //! CAN interfaces of Linux.
 
-use super::wired::Line;
+use super::Line;
 use foretorque_link::drives::Frame;
 use socketcan::{
     CanAnyFrame, CanError, CanFdFrame, CanFdSocket, CanFrame, EmbeddedFrame, ExtendedId, Id,

@@ -5,7 +5,7 @@
 //! | slcan | `t1232AABB`, `T`, `r`, `R`; CAN-FD: `d`, `D`, with bit rate switch `b`, `B` | Lawicel CAN232 manual; CANable 2 |
 //! | fdcanusb | `can send 8001 AABB BF`, `rcv 100 AABB E B F` | mjbots fdcanusb, docs/reference.md |
 
-use super::wired::Line;
+use super::Line;
 use foretorque_link::drives::Frame;
 use serialport::SerialPort;
 use std::fmt::Write as _;

@@ -1,6 +1,6 @@
 //! CAN frames over multicast, as python-can's interface `udp_multicast` sends them: one MessagePack map a datagram.
 
-use super::wired::Line;
+use super::Line;
 use foretorque_link::drives::Frame;
 use rmpv::Value;
 use socket2::{Domain, Protocol, Socket, Type};

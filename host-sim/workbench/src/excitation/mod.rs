@@ -21,7 +21,6 @@ mod rates;
 mod rows;
 mod search;
 mod series;
-mod slopes;
 
 pub use certificate::{Certificate, LimitCheck};
 pub use information::Criterion;

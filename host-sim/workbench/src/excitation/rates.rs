@@ -1,7 +1,9 @@
-//! Bounds of the rate of the drive torques, for the time between two points of a certificate.
+//! Bounds of the rate of the drive torques, between two points of a certificate, from derivatives of the regressor's rows.
 
-use crate::dynamics::PerJoint;
+use super::rows::{LinkMotion, Rows};
+use crate::dynamics::{Motion, PerJoint};
 use crate::robot::{Coupling, Joint, Robot};
+use nalgebra::{Matrix3, Vector3};
 
 /// Sizes of an arm that no pose exceeds.
 #[derive(Clone, Debug)]
@@ -106,11 +108,189 @@ impl TorqueRates {
     }
 }
 
+/// Derivatives by the motion of a link, in the base frame.
+#[derive(Clone, Copy, Debug)]
+struct LinkSlopes {
+    /// By a small turn of the link about the base's axes.
+    turn: Vector3<f64>,
+    origin: Vector3<f64>,
+    acceleration: Vector3<f64>,
+    axis: Vector3<f64>,
+    omega: Vector3<f64>,
+    alpha: Vector3<f64>,
+}
+
+impl LinkSlopes {
+    const NONE: Self = Self {
+        turn: Vector3::new(0.0, 0.0, 0.0),
+        origin: Vector3::new(0.0, 0.0, 0.0),
+        acceleration: Vector3::new(0.0, 0.0, 0.0),
+        axis: Vector3::new(0.0, 0.0, 0.0),
+        omega: Vector3::new(0.0, 0.0, 0.0),
+        alpha: Vector3::new(0.0, 0.0, 0.0),
+    };
+
+    /// Takes in the slope `by` of `α × r + ω × (ω × r)`, and returns that by r.
+    fn take_lever(
+        &mut self,
+        by: &Vector3<f64>,
+        lever: &Vector3<f64>,
+        omega: &Vector3<f64>,
+        alpha: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        self.alpha += lever.cross(by);
+        self.omega += omega.cross(lever).cross(by) + lever.cross(&by.cross(omega));
+        by.cross(alpha) + by.cross(omega).cross(omega)
+    }
+}
+
+/// Weights of the ten columns of a link in one row: those of mass, first moments and inertia.
+struct Weights {
+    mass: f64,
+    moment: Vector3<f64>,
+    inertia: Matrix3<f64>,
+}
+
+impl Rows {
+    /// Adds the derivatives of `Σ pull · rows` by q, qd, qdd of every joint to `slopes`.
+    ///
+    /// * `pull` N rows of [`Self::count`] weights, one after the other
+    /// * `sign_width` as in [`write`](Self::write)
+    ///
+    /// The weighted columns of link k in row j are the torque `z · (r × h + n)` of a link with the weights m, c, I as
+    /// parameters, `h = m a + α × c + ω × (ω × c)`, `n = c × a + I α + ω × I ω`, all in the parameters' frame of link k.
+    /// A turn of everything changes nothing: the slope by a turn of the frame is less that of what is expressed in it.
+    pub(super) fn add_slopes(
+        &self,
+        state: &Motion,
+        sign_width: f64,
+        pull: &[f64],
+        slopes: &mut [[f64; 3]],
+    ) {
+        let (width, joints) = (self.count(), self.of_joints(state));
+        let links = self.motion(&joints);
+        // Weights of joint torques: `pullᵀ C⁻ᵀ`.
+        let mut of_joints = pull.to_vec();
+        if let Some(coupling) = &self.coupling {
+            for column in 0..self.link_columns.len() {
+                let mut weights = PerJoint::from_fn(links.len(), |j| pull[j * width + column]);
+                coupling.to_joints(&mut weights);
+                let weights = weights.iter().enumerate();
+                weights.for_each(|(j, weight)| of_joints[j * width + column] = *weight);
+            }
+        }
+        let mut by = vec![LinkSlopes::NONE; links.len()];
+        for k in 0..links.len() {
+            for j in 0..=k {
+                let weights = self.weights(k, &of_joints[j * width..(j + 1) * width]);
+                add_torque(&links, [j, k], &weights, &mut by);
+            }
+        }
+        let mut by_joint = [PerJoint::repeat(links.len(), 0.0); 3];
+        for k in (0..links.len()).rev() {
+            let LinkMotion { step, axis, .. } = links[k];
+            let before = k.checked_sub(1).map(|before| links[before]);
+            let (omega, alpha) = before.map_or((Vector3::zeros(), Vector3::zeros()), |link| {
+                (link.omega, link.alpha)
+            });
+            let (qd, qdd) = (joints.qd[k], joints.qdd[k]);
+            let mut here = by[k];
+            here.axis += here.omega * qd + here.alpha * qdd + here.alpha.cross(&omega) * qd;
+            here.turn += axis.cross(&here.axis);
+            by_joint[0][k] = axis.dot(&here.turn);
+            by_joint[1][k] = axis.dot(&here.omega) + omega.cross(&axis).dot(&here.alpha);
+            by_joint[2][k] = axis.dot(&here.alpha);
+            let Some(inner) = k.checked_sub(1).map(|before| &mut by[before]) else {
+                continue;
+            };
+            inner.omega += here.omega + axis.cross(&here.alpha) * qd;
+            inner.alpha += here.alpha;
+            inner.acceleration += here.acceleration;
+            inner.origin += here.origin;
+            let by_step = inner.take_lever(&here.acceleration, &step, &omega, &alpha) + here.origin;
+            inner.turn += here.turn + step.cross(&by_step);
+        }
+        for (derivative, mut by_joint) in by_joint.into_iter().enumerate() {
+            // The joints' derivatives by the drives are C⁻¹, as those of torques.
+            if let Some(coupling) = &self.coupling {
+                coupling.to_drive_torques(&mut by_joint);
+            }
+            let by_drive = slopes.iter_mut().zip(by_joint.iter());
+            by_drive.for_each(|(slopes, by)| slopes[derivative] += by);
+        }
+        let rotors = self.link_columns.len();
+        for (c, &joint) in self.rotor_columns.iter().enumerate() {
+            slopes[joint][2] += pull[joint * width + rotors + c];
+        }
+        let friction = rotors + self.rotor_columns.len();
+        for (j, slopes) in slopes.iter_mut().enumerate() {
+            let own = &pull[j * width + friction + 2 * j..];
+            let sign = (state.qd[j] / sign_width).tanh();
+            slopes[1] += own[0] + own[1] * (1.0 - sign * sign) / sign_width;
+        }
+    }
+
+    fn weights(&self, link: usize, pull: &[f64]) -> Weights {
+        let mut all = [0.0; 10];
+        for column in self.columns_of(link) {
+            all[self.link_columns[column].1] = pull[column];
+        }
+        let [mass, x, y, z, xx, yy, zz, xy, xz, yz] = all;
+        Weights {
+            mass,
+            moment: Vector3::new(x, y, z),
+            inertia: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+        }
+    }
+}
+
+/// Adds the slopes of the torque at joint j that link k causes.
+fn add_torque(
+    links: &[LinkMotion],
+    [j, k]: [usize; 2],
+    weights: &Weights,
+    slopes: &mut [LinkSlopes],
+) {
+    let Weights {
+        mass,
+        moment: c,
+        inertia,
+    } = weights;
+    let link = &links[k];
+    let LinkMotion { a, w, al, .. } = link;
+    let to_frame = link.rot_frame.transpose();
+    let r_base = link.origin + link.lever - links[j].origin;
+    let (z, r) = (to_frame * links[j].axis, to_frame * r_base);
+    let h = a * *mass + al.cross(c) + w.cross(&w.cross(c));
+    let (p, iw) = (z.cross(&r), inertia * w);
+    let n = c.cross(a) + inertia * al + w.cross(&iw);
+    let by_z = r.cross(&h) + n;
+    let by_r = h.cross(&z);
+    let by_a = p * *mass + z.cross(c);
+    let by_al = c.cross(&p) + inertia * z;
+    let by_w = w.cross(c).cross(&p) + c.cross(&p.cross(w)) + iw.cross(&z) + inertia * z.cross(w);
+    // What is expressed in the frame, turned back into the base.
+    let against =
+        a.cross(&by_a) + w.cross(&by_w) + al.cross(&by_al) + z.cross(&by_z) + r.cross(&by_r);
+    let rot = &link.rot_frame;
+    let (by_a, by_r) = (rot * by_a, rot * by_r);
+    let here = &mut slopes[k];
+    here.acceleration += by_a;
+    here.omega += rot * by_w;
+    here.alpha += rot * by_al;
+    here.origin += by_r;
+    let by_lever = here.take_lever(&by_a, &link.lever, &link.omega, &link.alpha) + by_r;
+    here.turn += link.lever.cross(&by_lever) - rot * against;
+    slopes[j].axis += rot * by_z;
+    slopes[j].origin -= by_r;
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::rows::coupled_ur5;
+    use super::super::rows::{Frames, coupled_ur5};
     use super::*;
-    use crate::dynamics::{Joints, ReferenceModel, State};
+    use crate::dynamics::{Joints, ReferenceModel, State, random_motions};
+    use crate::robot::Robot;
     use rand::{Rng, SeedableRng};
 
     #[test]
@@ -142,6 +322,45 @@ mod tests {
             });
             for j in 0..6 {
                 assert!(change[j].abs() <= bound[j] * (1.0 + 1e-6), "joint {j}");
+            }
+        }
+    }
+
+    #[test]
+    fn slopes_agree_with_central_differences() {
+        const WIDTH: f64 = 0.3;
+        let (ur5, coupled) = (Robot::load("ur5").expect("built in"), coupled_ur5());
+        for (robot, frames) in [
+            (&ur5, Frames::Dh),
+            (&ur5, Frames::Board),
+            (&coupled, Frames::Dh),
+        ] {
+            let rows = Rows::new(robot, frames);
+            let size = 6 * rows.count();
+            let pull: Vec<f64> = (0..size).map(|i| (1.7 * i as f64).sin()).collect();
+            let sum = |state: &Motion| {
+                let mut block = vec![0.0; size];
+                rows.write(state, WIDTH, &mut block);
+                block.iter().zip(&pull).map(|(x, y)| x * y).sum::<f64>()
+            };
+            for state in random_motions(6, 10) {
+                let mut slopes = [[0.0; 3]; 6];
+                rows.add_slopes(&state, WIDTH, &pull, &mut slopes);
+                for (j, slopes) in slopes.iter().enumerate() {
+                    let moved = |d: usize, by: f64| {
+                        let mut moved = state;
+                        *[&mut moved.q[j], &mut moved.qd[j], &mut moved.qdd[j]][d] += by;
+                        sum(&moved)
+                    };
+                    for (d, slope) in slopes.iter().enumerate() {
+                        let expected = (moved(d, 1e-5) - moved(d, -1e-5)) / 2e-5;
+                        let close = 1e-6 * (1.0 + expected.abs());
+                        assert!(
+                            (slope - expected).abs() < close,
+                            "{frames:?} joint {j}, derivative {d}: {slope} {expected}"
+                        );
+                    }
+                }
             }
         }
     }

@@ -3,9 +3,7 @@
 use super::UnknownName;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::{LINK_PARAMETERS, Robot};
-use foretorque::dynamics::{
-    COGGING_COLUMNS, FrictionColumn, FrictionPoint, SHEAR_WIDTH, STRIBECK_WIDTH,
-};
+use foretorque::dynamics::{COGGING_COLUMNS, FrictionColumn, FrictionPoint};
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
 use std::str::FromStr;
@@ -296,11 +294,6 @@ impl Layout {
     pub(super) fn torque(&self, joint: usize, columns: &[f64], theta: &DVector<f64>) -> f64 {
         let pairs = columns.iter().zip(&self.active[joint]);
         pairs.map(|(x, &place)| x * theta[place]).sum()
-    }
-
-    /// Widths w of two Gaussians `exp(−(qd / w)²)`, rad/s: height and area of the Stribeck and shear-thinning columns.
-    pub(super) fn gaussian_widths(&self) -> [f64; 2] {
-        [STRIBECK_WIDTH, SHEAR_WIDTH * std::f64::consts::PI.sqrt()]
     }
 
     /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.

@@ -18,7 +18,7 @@ use super::methods::Fit;
 use super::normal::solve;
 use crate::dynamics::BaseMap;
 use crate::robot::{LINK_PARAMETERS, Link, Robot};
-use foretorque::dynamics::FrictionColumn;
+use foretorque::dynamics::{FrictionColumn, SHEAR_WIDTH, STRIBECK_WIDTH};
 use nalgebra::{DMatrix, DVector, Matrix4};
 
 /// A consistent fit, and the robot it describes.
@@ -301,7 +301,8 @@ fn described(robot: &Robot, layout: &Layout, z: &DVector<f64>) -> Robot {
         friction.viscous = of(FrictionColumn::Viscous);
         friction.coulomb = of(FrictionColumn::Coulomb);
         friction.stribeck_ratio = 0.0;
-        let [narrow, wide] = layout.gaussian_widths();
+        // Shear thinning as a Gaussian of the same height and area.
+        let (narrow, wide) = (STRIBECK_WIDTH, SHEAR_WIDTH * std::f64::consts::PI.sqrt());
         let peaks = (
             of(FrictionColumn::Stribeck),
             of(FrictionColumn::ShearThinning),

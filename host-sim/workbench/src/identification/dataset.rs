@@ -1,10 +1,9 @@
 //! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
-use super::cogging::CoggingSums;
+use super::cogging::{CoggingSums, SpeedSums};
 use super::columns::Layout;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
-use super::speed::SpeedSums;
 use crate::dynamics::{Motion, PerJoint};
 use nalgebra::DVector;
 

@@ -4,11 +4,11 @@
 //! the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
 
 use super::IdentifyError;
+use super::cogging::SpeedSums;
 use super::columns::Layout;
 use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
 use super::prepare::{Preparation, PrepareConfig, Prepared, states};
-use super::speed::SpeedSums;
 use crate::robot::Robot;
 use crate::table::TableProblem;
 use std::f64::consts::TAU;

@@ -25,7 +25,6 @@ mod problem;
 mod record;
 mod residual;
 mod solve;
-mod speed;
 mod stream;
 mod study;
 mod uncertainty;

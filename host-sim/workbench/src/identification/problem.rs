@@ -1,11 +1,10 @@
 //! Nouns of an identification: problem, training data, candidate model, result of a method.
 
-use super::cogging::CoggingAmplitudes;
+use super::cogging::{CoggingAmplitudes, SpeedSums};
 use super::columns::Layout;
 use super::dataset::{Dataset, RowSums, SampleRow};
 use super::methods::{Fit, MethodName, huber};
 use super::normal::NormalEquations;
-use super::speed::SpeedSums;
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use crate::training::{BlackBox, LinearLayer};

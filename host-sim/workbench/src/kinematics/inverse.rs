@@ -1,8 +1,7 @@
 //! The inverse of the chain: closed form where there is one, numeric elsewhere.
 
-use super::InverseError;
-use super::chain::{Chain, pose_error};
 use super::ur::UrArm;
+use super::{Chain, InverseError, pose_error};
 use crate::dynamics::Joints;
 use crate::robot::{Placement, Robot};
 use nalgebra::SMatrix;

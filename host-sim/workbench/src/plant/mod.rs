@@ -3,21 +3,17 @@
 
 mod effects;
 mod events;
-mod faults;
 mod friction;
-mod gear;
 #[cfg(test)]
 mod tests;
 
 pub use effects::{EffectsError, PlantEffects};
-pub use events::{Events, Payload, Push};
-pub use faults::ReportFaults;
+pub use events::{Events, Payload, Push, ReportFaults};
 
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::Robot;
 use effects::{DriveErrors, ReportQueue};
-use friction::{FrictionModel, FrictionState};
-use gear::{Gear, solved};
+use friction::{FrictionModel, FrictionState, Gear, solved};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

@@ -185,7 +185,7 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
                 "{fault:?}: {error}, expected {expected}"
             );
             assert!(
-                !matches!(player.controller.phase(), BusPhase::Running(_)),
+                !matches!(player.controller.drives().phase(), BusPhase::Running(_)),
                 "{fault:?}"
             );
         }

@@ -1,7 +1,6 @@
 //! Six simulated drives on two buses, driven by the loop: tracking, and the end of the torque.
 
 mod campaign;
-mod families;
 mod scenarios;
 
 use foretorque::arm::ur5::Ur5;
@@ -90,7 +89,7 @@ fn tracking_mrad(profile: &Profile, forward: bool, learn_s: f64) -> f64 {
             count += 1;
         }
     }
-    let counters = (0..6).map(|joint| player.controller.counters(joint).lost as usize);
+    let counters = (0..6).map(|joint| player.controller.drives().counters(joint).lost as usize);
     let (lost, replies) = (counters.sum::<usize>(), 6 * path.ticks(player.period_s()));
     assert!(1000 * lost < replies, "{lost} of {replies} replies lost");
     let reason = player.park().expect("the bus is there");

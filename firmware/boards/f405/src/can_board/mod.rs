@@ -35,13 +35,12 @@ use stm32f4xx_hal::rcc::Rcc;
 
 use crate::app::TICK;
 use crate::arm::{Arm, BoardSession, JOINTS, PARAMETERS};
-use crate::board::{Board, Drive, Ports};
+use crate::board::{Board, Drive, Pin, Port, Ports};
 use crate::clock::Clocks;
 use crate::counter;
 use crate::drive::switch;
 use crate::fault::EnablePin;
 use crate::link::{self, Receiver, Sender};
-use crate::pin::{Pin, Port};
 use crate::pyboard::Pyboard;
 use ports::FramePort;
 

@@ -17,8 +17,7 @@ use stm32f4xx_hal::pac::{SPI1, TIM1};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::board::{Board, Ports};
-use crate::pin::{Pin, Port};
+use crate::board::{Board, Pin, Port, Ports};
 use crate::pyboard::Pyboard;
 
 /// The joint that this board drives, from 0: the shoulder lift.

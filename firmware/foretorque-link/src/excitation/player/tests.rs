@@ -1,5 +1,5 @@
 use super::super::MotionBounds;
-use super::super::series::tests::SWING;
+use super::super::path::tests::SWING;
 use super::*;
 use ExcitationCommand::{Release, Start, Status, Stop};
 use ExcitationState::{Aborted, Approaching, Checking, Holding, Playing, Ready, Refused};

@@ -1,5 +1,4 @@
 mod faults;
-mod input;
 mod page;
 
 use super::*;

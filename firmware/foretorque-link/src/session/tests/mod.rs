@@ -1,15 +1,12 @@
 //! A board under test, and the messages that it receives.
 
 mod arming;
-mod banks;
 mod gaps;
 mod keys;
 mod line;
 mod store;
-mod streams;
 mod ticks;
 mod time;
-mod timeline;
 
 use super::*;
 use crate::bank::{NETWORK_SEED, ParameterBank};

@@ -1,6 +1,6 @@
 //! The board's timer beside the samples, as on silicon: the promises of docs/safety.md in both pacings.
 
-use super::timeline::{Timeline, slow};
+use super::gaps::{Timeline, slow};
 use super::*;
 use crate::safety::promises::Timing;
 

@@ -3,57 +3,9 @@
 //! Regressor, tick, estimator, prior, parameter bank and identification read their lists of columns here. A new column is a
 //! new entry.
 
+use super::real::Real;
 use crate::arm::JointLimits;
-use crate::math;
-use core::ops::{Add, Div, Index, IndexMut, Mul};
-
-/// Arithmetic of the basis functions: f32 with the kernels of [`math`] in the tick, f64 with libm in identification.
-pub trait Real: Copy + Add<Output = Self> + Mul<Output = Self> + Div<Output = Self> {
-    /// 1.
-    const ONE: Self;
-    /// `self / width`.
-    fn over(self, width: f64) -> Self;
-    /// `exp(−self²)`.
-    fn gaussian(self) -> Self;
-    /// Absolute value.
-    fn abs(self) -> Self;
-}
-
-impl Real for f32 {
-    const ONE: Self = 1.0;
-
-    #[inline(always)]
-    fn over(self, width: f64) -> Self {
-        // The reciprocal is a constant after inlining: no division in the tick.
-        self * (1.0 / width as f32)
-    }
-
-    #[inline(always)]
-    fn gaussian(self) -> Self {
-        math::gaussian(self)
-    }
-
-    #[inline(always)]
-    fn abs(self) -> Self {
-        f32::abs(self)
-    }
-}
-
-impl Real for f64 {
-    const ONE: Self = 1.0;
-
-    fn over(self, width: f64) -> Self {
-        self / width
-    }
-
-    fn gaussian(self) -> Self {
-        libm::exp(-(self * self))
-    }
-
-    fn abs(self) -> Self {
-        f64::abs(self)
-    }
-}
+use core::ops::{Index, IndexMut};
 
 /// Arguments of the basis functions of one joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -174,7 +126,7 @@ macro_rules! friction_columns {
         impl<T: Real> FrictionPoint<T> {
             /// Value of every basis function: the torque for each unit of its parameter.
             ///
-            /// Cost in f32: one [`gaussian`](math::gaussian), one division, 6 multiplications.
+            /// Cost in f32: one [`gaussian`](crate::math::gaussian), one division, 6 multiplications.
             #[inline(always)]
             pub fn columns(&self) -> [T; FRICTION_COLUMNS] {
                 [$({ let $x = self; $basis }),*]
@@ -362,31 +314,25 @@ const COUNTS: [usize; 3] = {
     counts
 };
 
-/// The columns that follow a random walk.
-pub const RANDOM_WALK_COLUMNS: [FrictionColumn; COUNTS[0]] = {
-    let (mut columns, mut next, mut k) = ([FrictionColumn::ALL[0]; COUNTS[0]], 0, 0);
+/// The `C` columns with `cogging`, or else those with `random_walk`, in their order.
+const fn chosen<const C: usize>(cogging: bool) -> [FrictionColumn; C] {
+    let (mut columns, mut next, mut k) = ([FrictionColumn::ALL[0]; C], 0, 0);
     while k < FRICTION_COLUMNS {
-        if FrictionColumn::ALL[k].properties().random_walk {
+        let column = FrictionColumn::ALL[k].properties();
+        if (cogging && column.cogging) || (!cogging && column.random_walk) {
             columns[next] = FrictionColumn::ALL[k];
             next += 1;
         }
         k += 1;
     }
     columns
-};
+}
+
+/// The columns that follow a random walk.
+pub const RANDOM_WALK_COLUMNS: [FrictionColumn; COUNTS[0]] = chosen(false);
 
 /// The cogging columns.
-pub const COGGING_COLUMNS: [FrictionColumn; COUNTS[1]] = {
-    let (mut columns, mut next, mut k) = ([FrictionColumn::ALL[0]; COUNTS[1]], 0, 0);
-    while k < FRICTION_COLUMNS {
-        if FrictionColumn::ALL[k].properties().cogging {
-            columns[next] = FrictionColumn::ALL[k];
-            next += 1;
-        }
-        k += 1;
-    }
-    columns
-};
+pub const COGGING_COLUMNS: [FrictionColumn; COUNTS[1]] = chosen(true);
 
 /// Bounds of friction that dissipates at every velocity and load: `Σ a_k p_k >= 0` over the parameters p for each row a.
 ///

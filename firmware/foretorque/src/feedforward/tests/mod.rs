@@ -10,8 +10,6 @@ mod adoption;
 mod flags;
 mod limits;
 mod shares;
-mod silence;
-mod wrap;
 
 const N: usize = 6;
 const P: usize = 40;

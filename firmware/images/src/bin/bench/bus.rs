@@ -84,7 +84,7 @@ impl Bus {
             bus.tick();
             let _ = bus.controller.arm();
         }
-        matches!(bus.controller.phase(), BusPhase::Running(_)).then_some(bus)
+        matches!(bus.controller.drives().phase(), BusPhase::Running(_)).then_some(bus)
     }
 
     /// One period: six replies in, six commands out.

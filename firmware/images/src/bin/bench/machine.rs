@@ -37,9 +37,7 @@ pub(crate) fn count(run: fn(&mut Stage), stage: &mut Stage) -> u32 {
 /// The numbers on the command line that the host passes by semihosting: calls of each row, ticks of the long run.
 pub(crate) fn numbers() -> (u32, u32) {
     let mut text = [0u8; 32];
-    let mut words = foretorque_images::semihost::words(&mut text)
-        .into_iter()
-        .flatten();
+    let mut words = foretorque_images::words(&mut text).into_iter().flatten();
     let mut number = || core::str::from_utf8(words.next()?).ok()?.parse().ok();
     (number().unwrap_or(CALLS), number().unwrap_or(0))
 }

@@ -1,8 +1,43 @@
-//! Values of an element: its own, or those of its class.
+//! Values of an element, its own or those of its class, and the settings that decide what they mean.
 
 use super::*;
 
 impl<'a, 'input> Reader<'a, 'input> {
+    /// Takes the settings of `<compiler>`.
+    ///
+    /// Errors: one that changes masses or places, which MuJoCo alone can apply.
+    pub(super) fn compiler(&mut self, node: Node<'a, 'input>) -> Result<(), UrdfProblem> {
+        if let Some(angle) = node.attribute("angle") {
+            self.degrees = angle != "radian";
+        }
+        if let Some(order) = node.attribute("eulerseq") {
+            self.euler = order.to_owned();
+        }
+        if let Some(auto) = node.attribute("autolimits") {
+            self.autolimits = auto == "true";
+        }
+        let written = |name: &str| node.attribute(name).unwrap_or_default().trim().to_owned();
+        let not_zero = |name: &str| parse_number(&written(name)).is_some_and(|value| value > 0.0);
+        for (name, changes) in [
+            ("inertiafromgeom", written("inertiafromgeom") == "true"),
+            ("coordinate", written("coordinate") == "global"),
+            ("settotalmass", not_zero("settotalmass")),
+            ("boundmass", not_zero("boundmass")),
+            ("boundinertia", not_zero("boundinertia")),
+        ] {
+            if changes {
+                let value = written(name);
+                return Err(problem(
+                    node,
+                    &format!(
+                        "{name}=\"{value}\" cannot be read: save the compiled model with MuJoCo (mj_saveLastXML)"
+                    ),
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// Attribute of an element, or of its default class, the nearest first.
     ///
     /// * `class` default class of the elements around

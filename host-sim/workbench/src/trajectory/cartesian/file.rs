@@ -1,6 +1,6 @@
 //! The file of a path: TOML, units in the names of the fields. `docs/identification.md` describes the format.
 
-use super::curve::{Curve, Way};
+use super::{Curve, Way};
 use crate::kinematics::InverseError;
 use crate::robot::Placement;
 use crate::trajectory::BeyondLimits;

@@ -1,11 +1,266 @@
 //! Paths of the tool: a small file of lines, circles and via points, laid out as joint motion by inverse kinematics.
 //!
-//! `file` (text → moves) → `curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
+//! `file` (text → moves) → `Curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
 //! and accelerations tick by tick, every limit checked).
 
-mod curve;
 mod file;
 mod plan;
 
+use crate::kinematics::{Twist, rotation_vector};
+use crate::robot::Placement;
+use crate::trajectory::via::ViaPath;
 pub use file::{CartesianError, Spot};
+use nalgebra::{Matrix3, Rotation3, Unit, Vector3, Vector6};
 pub use plan::plan;
+
+/// A move may turn the tool this far from where it started, rad: half a turn has two ways round.
+const MOST_TURN: f64 = 3.0;
+
+/// The way of a move.
+#[derive(Clone, Debug, PartialEq)]
+enum Way {
+    /// Straight, turning about one axis.
+    Line(Placement),
+    /// About an axis through `centre` along `normal` (length 1), by `turn` rad; `carry` turns the tool along.
+    Circle {
+        centre: Vector3<f64>,
+        normal: Vector3<f64>,
+        turn: f64,
+        carry: bool,
+    },
+    /// Through points at even times without stopping.
+    Via(Vec<Placement>),
+}
+
+impl Way {
+    /// Its name in the file.
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Line(_) => "line",
+            Self::Circle { .. } => "circle",
+            Self::Via(_) => "via",
+        }
+    }
+}
+
+/// Where the tool is at an instant, and how it moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Point {
+    pose: Placement,
+    /// m/s and rad/s, base frame.
+    twist: Twist,
+    /// m/s² and rad/s².
+    rate: Twist,
+}
+
+/// A move from rest to rest.
+#[derive(Clone, Debug, PartialEq)]
+struct Curve {
+    from: Placement,
+    duration_s: f64,
+    shape: Shape,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Shape {
+    /// Position, m, then rotation vector, rad: both from the start.
+    Line(Vector6<f64>),
+    Circle {
+        centre: Vector3<f64>,
+        arm: Vector3<f64>,
+        axis: Vector3<f64>,
+        turn: f64,
+        carry: bool,
+    },
+    Via(ViaPath<6>),
+}
+
+impl Curve {
+    /// The curve of `way` from the pose `from`.
+    ///
+    /// Errors: what makes it no curve.
+    fn new(way: &Way, from: &Placement, duration_s: f64) -> Result<Self, &'static str> {
+        let step = |to: &Placement| -> Result<Vector6<f64>, &'static str> {
+            let turn = rotation_vector(&(to.rot_parent_child * from.rot_parent_child.transpose()));
+            if turn.norm() > MOST_TURN {
+                return Err(
+                    "turns the tool by more than 3 rad from where the move starts: use two moves",
+                );
+            }
+            let way = to.origin - from.origin;
+            Ok(Vector6::new(way.x, way.y, way.z, turn.x, turn.y, turn.z))
+        };
+        let shape = match way {
+            Way::Line(to) => Shape::Line(step(to)?),
+            Way::Circle {
+                centre,
+                normal,
+                turn,
+                carry,
+            } => {
+                let out = from.origin - centre;
+                let along = normal * normal.dot(&out);
+                let arm = out - along;
+                if arm.norm() < 1e-6 {
+                    return Err("the move starts on the axis: there is no radius");
+                }
+                Shape::Circle {
+                    centre: centre + along,
+                    arm,
+                    axis: *normal,
+                    turn: *turn,
+                    carry: *carry,
+                }
+            }
+            Way::Via(points) => {
+                let mut steps = vec![Vector6::zeros()];
+                for point in points {
+                    steps.push(step(point)?);
+                }
+                Shape::Via(ViaPath::through(&steps, duration_s))
+            }
+        };
+        Ok(Self {
+            from: *from,
+            duration_s,
+            shape,
+        })
+    }
+
+    /// Pose at the end.
+    fn end(&self) -> Placement {
+        self.at(self.duration_s).pose
+    }
+
+    /// The point at `t_s` after the start. Lines and circles follow `10 s³ − 15 s⁴ + 6 s⁵`, so that velocity and
+    /// acceleration begin and end at zero.
+    fn at(&self, t_s: f64) -> Point {
+        let h = self.duration_s;
+        let s = (t_s / h).clamp(0.0, 1.0);
+        let share = s * s * s * (10.0 + s * (6.0 * s - 15.0));
+        let speed = 30.0 * (s * (1.0 - s)).powi(2) / h;
+        let rise = s * (60.0 + s * (120.0 * s - 180.0)) / (h * h);
+        match &self.shape {
+            Shape::Line(step) => self.point(&(step * share), &(step * speed), &(step * rise)),
+            Shape::Via(path) => {
+                let state = path.at(t_s.clamp(0.0, h));
+                self.point(&state.q, &state.qd, &state.qdd)
+            }
+            Shape::Circle {
+                centre,
+                arm,
+                axis,
+                turn,
+                carry,
+            } => {
+                let turned = Rotation3::from_axis_angle(&Unit::new_unchecked(*axis), turn * share);
+                let arm = turned * arm;
+                let (omega, alpha) = (axis * (turn * speed), axis * (turn * rise));
+                let (v, a) = (
+                    omega.cross(&arm),
+                    alpha.cross(&arm) + omega.cross(&omega.cross(&arm)),
+                );
+                let still = Vector3::zeros();
+                let (rot, omega, alpha) = if *carry {
+                    (turned.matrix() * self.from.rot_parent_child, omega, alpha)
+                } else {
+                    (self.from.rot_parent_child, still, still)
+                };
+                Point {
+                    pose: Placement {
+                        rot_parent_child: rot,
+                        origin: centre + arm,
+                    },
+                    twist: Twist::new(v.x, v.y, v.z, omega.x, omega.y, omega.z),
+                    rate: Twist::new(a.x, a.y, a.z, alpha.x, alpha.y, alpha.z),
+                }
+            }
+        }
+    }
+
+    /// The point of a position and rotation vector `x` from the start, with its two derivatives.
+    fn point(&self, x: &Vector6<f64>, xd: &Vector6<f64>, xdd: &Vector6<f64>) -> Point {
+        let turning = |x: &Vector6<f64>| Vector3::new(x[3], x[4], x[5]);
+        let phi = turning(x);
+        let (omega, alpha) = rates(&phi, &turning(xd), &turning(xdd));
+        Point {
+            pose: Placement {
+                rot_parent_child: rotation(&phi) * self.from.rot_parent_child,
+                origin: self.from.origin + Vector3::new(x[0], x[1], x[2]),
+            },
+            twist: Twist::new(xd[0], xd[1], xd[2], omega.x, omega.y, omega.z),
+            rate: Twist::new(xdd[0], xdd[1], xdd[2], alpha.x, alpha.y, alpha.z),
+        }
+    }
+}
+
+/// Below this angle, rad, the coefficients come from their series.
+const SMALL: f64 = 1e-2;
+
+/// Rotation matrix of axis × angle, rad.
+fn rotation(phi: &Vector3<f64>) -> Matrix3<f64> {
+    Rotation3::from_scaled_axis(*phi).into_inner()
+}
+
+/// Angular velocity and acceleration of `exp([φ]×)` in the frame in which φ is expressed, rad/s and rad/s².
+///
+/// `ω = A φ̇`, `ω̇ = A φ̈ + Ȧ φ̇` with `A = 1 + b [φ]× + c [φ]×²`, `b = (1 − cos θ)/θ²`, `c = (θ − sin θ)/θ³`, θ = |φ|; and
+/// `db/dθ = ((1 − c θ²) − 2 b)/θ`, `dc/dθ = (b − 3 c)/θ`                              [Bullo and Murray 1995, eq. 2.8]
+fn rates(
+    phi: &Vector3<f64>,
+    phid: &Vector3<f64>,
+    phidd: &Vector3<f64>,
+) -> (Vector3<f64>, Vector3<f64>) {
+    let square = phi.norm_squared();
+    let theta = square.sqrt();
+    // (db/dθ)/θ and (dc/dθ)/θ: times φ·φ̇ they are ḃ and ċ.
+    let (b, c, db, dc) = if theta < SMALL {
+        (
+            0.5 - square / 24.0,
+            1.0 / 6.0 - square / 120.0,
+            -1.0 / 12.0 + square / 180.0,
+            -1.0 / 60.0 + square / 1260.0,
+        )
+    } else {
+        let b = (1.0 - theta.cos()) / square;
+        let c = (theta - theta.sin()) / (square * theta);
+        (
+            b,
+            c,
+            (1.0 - c * square - 2.0 * b) / square,
+            (b - 3.0 * c) / square,
+        )
+    };
+    let turn = phi.dot(phid);
+    let apply = |x: &Vector3<f64>| x + phi.cross(x) * b + phi.cross(&phi.cross(x)) * c;
+    let omega = apply(phid);
+    // Ȧ φ̇; [φ̇]× φ̇ = 0 drops two of its terms.
+    let drift = phi.cross(phid) * (db * turn)
+        + phi.cross(&phi.cross(phid)) * (dc * turn)
+        + phid.cross(&phi.cross(phid)) * c;
+    (omega, apply(phidd) + drift)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_derivatives_of_the_rotation() {
+        for size in [0.0, 1e-3, 9e-3, 1.1e-2, 0.5, 2.0, 3.0] {
+            let axis = Vector3::new(0.6, -0.64, 0.48);
+            let (phid, phidd) = (Vector3::new(0.3, 0.7, -0.2), Vector3::new(-0.5, 0.1, 0.9));
+            let at = |t: f64| axis * size + phid * t + phidd * (0.5 * t * t);
+            let h = 1e-5;
+            let step = rotation(&at(h)) * rotation(&at(-h)).transpose();
+            let (omega, alpha) = rates(&at(0.0), &phid, &phidd);
+            assert!(
+                (rotation_vector(&step) / (2.0 * h) - omega).amax() < 1e-8,
+                "{size}"
+            );
+            let omega_at = |t: f64| rates(&at(t), &(phid + phidd * t), &phidd).0;
+            let slope = (omega_at(h) - omega_at(-h)) / (2.0 * h);
+            assert!((slope - alpha).amax() < 1e-7, "{size}: {slope} {alpha}");
+        }
+    }
+}

@@ -1,7 +1,7 @@
 //! From moves of the tool to motion of the joints, tick by tick.
 
-use super::curve::{Point, Way};
 use super::file::{self, CartesianError, Path, Spot};
+use super::{Point, Way};
 use crate::dynamics::{Joints, State};
 use crate::kinematics::{Inverse, InverseError, Twist};
 use crate::robot::{Placement, Robot};
