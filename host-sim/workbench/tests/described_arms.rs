@@ -114,7 +114,7 @@ fn a_panda_read_at_run_time_has_the_bits_of_the_compiled_one() {
 
 #[test]
 fn emulated_boards_of_seven_and_eight_joints_give_the_bits_of_the_native_ones() {
-    for (name, joints) in [("panda7", 7), ("eight", 8)] {
+    for name in ["panda7", "eight"] {
         let mut options = QemuOptions::new(Image::Joint);
         options.elf = Image::Joint.elf_of(name);
         let built = options.elf.with_file_name(format!("{name}.toml"));
@@ -123,14 +123,14 @@ fn emulated_boards_of_seven_and_eight_joints_give_the_bits_of_the_native_ones() 
             "no images of `{name}`: `cargo xtask test` builds them"
         );
         let robot = Robot::load(&built.to_string_lossy()).unwrap();
-        assert_eq!(robot.joint_count(), joints);
-        arms!(robot, N, P => {
+        // Room for no more than the base parameters of the arm: sums of the learner have the order of the image.
+        arms!(robot, N, P in (7, 48) (8, 56) => {
             Described::<N, P>::read(&robot).unwrap();
             let native: Box<dyn Transport> = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
             let emulated: Box<dyn Transport> = Box::new(started(&options));
             let boards = [native, emulated]
                 .map(|board| Client::connect::<Described<N, P>, P>(board, PATIENCE).unwrap());
-            the_same_learning::<Described<N, P>, N, P>(boards, 400);
+            the_same_learning::<Described<N, P>, N, P>(boards, 600);
         }, else unreachable!());
     }
 }
