@@ -26,7 +26,7 @@ use core::mem::MaybeUninit;
 #[cfg(target_os = "none")]
 use foretorque_f405::arm::Learner;
 #[cfg(target_os = "none")]
-use stage::BESIDE;
+use stage::LINKS;
 
 #[cfg(target_os = "none")]
 #[cortex_m_rt::entry]
@@ -51,17 +51,17 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     static mut LEARNER: Learner = stage::Stage::LEARNER;
     // SAFETY: this function runs once, nothing else names the static, and no interrupt is enabled.
     let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
-    let link = cortex_m::singleton!(: [MaybeUninit<commands::Link>; BESIDE] = [const { MaybeUninit::uninit() }; BESIDE])?;
+    let link = cortex_m::singleton!(: [MaybeUninit<commands::Link>; LINKS] = [const { MaybeUninit::uninit() }; LINKS])?;
     let mut link = link
         .each_mut()
         .map(|place| commands::Link::init(place).expect("a board of the UR5"));
-    let bus = cortex_m::singleton!(: [MaybeUninit<bus::Bus>; BESIDE] = [const { MaybeUninit::uninit() }; BESIDE])?;
+    let bus = cortex_m::singleton!(: [MaybeUninit<bus::Bus>; LINKS] = [const { MaybeUninit::uninit() }; LINKS])?;
     let mut bus = bus
         .each_mut()
         .map(|place| bus::Bus::init(place).expect("a bus of the UR5"));
     let mut paper = cortex_m::singleton!(: stage::Paper = stage::Paper::zeros())?;
-    let beside: &[_] = if BESIDE > 0 { rows::BESIDE_IT } else { &[] };
-    for row in rows::OF_THE_ARM.iter().chain(beside) {
+    let links: &[_] = if LINKS > 0 { rows::LINK_ROWS } else { &[] };
+    for row in rows::ARM_ROWS.iter().chain(links) {
         (learner, link, bus, paper) = count_row(row, calls, (learner, link, bus, paper))?;
     }
     if ticks > 0 {

@@ -33,7 +33,7 @@ macro_rules! rows {
 // The networks are reached by a pointer to each, as by any caller that does not keep them in a struct of everything.
 // The host subtracts the first row: what a call costs whose function returns at once.
 rows! {
-    OF_THE_ARM:
+    ARM_ROWS:
     empty(_) ();
     sin_cos(s) s.sin_cos = math::sin_cos(s.angle);
     rnea_ur5(s) s.tau = rnea::<Arm, JOINTS, PARAMETERS>(&s.set.rigid, &s.motion);
@@ -54,7 +54,7 @@ rows! {
 }
 
 rows! {
-    BESIDE_IT:
+    LINK_ROWS:
     command(s) s.link.iter_mut().for_each(|link| link.run());
     configure(s) { black_box("another function than that of a command"); s.link.iter_mut().for_each(|link| link.run()) };
     bus_tick(s) s.bus.iter_mut().for_each(|bus| bus.tick());

@@ -25,8 +25,8 @@ const WARM_UP: u32 = 48;
 /// Bound of the noise on the measured torque, in units of the torque limit.
 const NOISE: f32 = 0.01;
 
-/// Boards and buses of a UR5 beside the arm; the learner of a larger arm leaves no room for any.
-pub(crate) const BESIDE: usize = if JOINTS <= 6 { 1 } else { 0 };
+/// Number of links and of buses of a UR5 beside the arm: the learner of a larger arm leaves no room for them.
+pub(crate) const LINKS: usize = if JOINTS <= 6 { 1 } else { 0 };
 
 /// Network of the paper.
 pub(crate) type Paper = BpNetwork<18, 32, 6>;
@@ -34,8 +34,8 @@ pub(crate) type Paper = BpNetwork<18, 32, 6>;
 /// Parts that the stages take over from one another.
 pub(crate) type Parts = (
     &'static mut Learner,
-    [&'static mut Link; BESIDE],
-    [&'static mut Bus; BESIDE],
+    [&'static mut Link; LINKS],
+    [&'static mut Bus; LINKS],
     &'static mut Paper,
 );
 
@@ -67,9 +67,9 @@ pub(crate) struct Stage {
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
     pub(crate) learner: &'static mut Learner,
     /// Beside the stage too.
-    pub(crate) link: [&'static mut Link; BESIDE],
+    pub(crate) link: [&'static mut Link; LINKS],
     /// Beside the stage too.
-    pub(crate) bus: [&'static mut Bus; BESIDE],
+    pub(crate) bus: [&'static mut Bus; LINKS],
     /// Beside the stage too.
     pub(crate) paper: &'static mut Paper,
     random: Random,
