@@ -1,58 +1,104 @@
 //! Firmware for a described arm: description, module, images, sizes. Nothing in the source tree changes.
 
 use std::fs;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command};
-use crate::toolchain::{PROFILE, TARGET};
+use crate::toolchain::{PROFILE, TARGET, Toolchain};
 
 /// Where the arms go, from the workspace's root; `host-sim` looks for their images here.
 const OUT: &str = "target/foretorque/arms";
-/// Build directory of all arms: the images of the UR5 stay where they are.
+/// Where cargo leaves the images of all arms: those of the UR5 stay where they are.
 const BUILD: &str = "target/arms";
-/// Package and binary of every image that an arm gets.
-const IMAGES: [(&str, &str); 2] = [("foretorque-f405", "joint"), ("foretorque-images", "bulk")];
+/// Joints, descriptions and names of the larger arms whose images the gates boot and the bench measures.
+const LARGER: [(usize, &str, &str); 2] = [
+    (7, "host-sim/robots/panda.urdf", "panda7"),
+    (8, "host-sim/robots/eight.toml", "eight"),
+];
 
-/// Sets up, writes `NAME.toml` and `NAME.rs`, builds the images for the arm, and prints their sizes.
+/// Sets up, builds `joint` and `bulk` for the arm of a file, and prints how to run them.
 ///
 /// * `selection` options of `host-sim` that pick the arm from the file
 pub(crate) fn run(forced: Option<Way>, urdf: &str, name: &str, selection: &[String]) -> Result<()> {
-    let tools = setup::run(forced)?;
+    let board = setup::run(forced)?.board;
     // Relative paths are the caller's, and host-sim runs in the workspace's root.
     let urdf = fs::canonicalize(urdf).with_context(|| format!("cannot read {urdf}"))?;
+    let program = host_sim()?;
+    let out = build(
+        board,
+        &program,
+        (&urdf, name, selection),
+        &["joint", "bulk"],
+    )?;
+    println!(
+        "host-sim run --robot {} --board qemu … runs it",
+        shell::shown(&out.join(name).with_extension("toml"))
+    );
+    Ok(())
+}
+
+/// The optimised command line, built if it is not.
+pub(crate) fn host_sim() -> Result<PathBuf> {
+    shell::run(command("cargo").args(["build", "--release", "-p", "host-sim"]))?;
+    Ok(shell::root().join("target/release/host-sim"))
+}
+
+/// Builds `images` for the arms of seven and eight joints; returns these numbers and the directories.
+pub(crate) fn larger(
+    board: Toolchain,
+    host_sim: &Path,
+    images: &[&str],
+) -> Result<Vec<(usize, PathBuf)>> {
+    let arms = LARGER.iter().map(|(joints, file, name)| {
+        let file = shell::root().join(file);
+        let out = build(board, host_sim, (&file, name, &[]), images)?;
+        Ok((*joints, out))
+    });
+    arms.collect()
+}
+
+/// Writes `NAME.toml` and `NAME.rs`, builds `images` for the arm, prints their sizes and checks `joint`; returns their
+/// directory.
+fn build(
+    board: Toolchain,
+    host_sim: &Path,
+    (file, name, selection): (&Path, &str, &[String]),
+    images: &[&str],
+) -> Result<PathBuf> {
     let out = shell::root().join(OUT).join(name);
     let [toml, module] = ["toml", "rs"].map(|kind| out.join(name).with_extension(kind));
-    shell::run(command("cargo").args(["build", "--release", "-p", "host-sim"]))?;
-    let program = shell::root().join("target/release/host-sim");
-    let host_sim = || command(&program.to_string_lossy());
+    let host_sim = || command(&host_sim.to_string_lossy());
     let mut describe = host_sim();
     describe
         .arg("describe")
-        .arg(&urdf)
+        .arg(file)
         .args(selection)
         .args(["--name", name]);
     let Some(text) = capture(&mut describe) else {
         // Once more, for its refusal to be seen.
-        return shell::run(&mut describe);
+        shell::run(&mut describe)?;
+        anyhow::bail!("`host-sim describe` failed once");
     };
     shell::write(&toml, text)?;
     let mut generate = host_sim();
     generate.args(["generate", "--robot"]).arg(&toml);
     shell::run(generate.arg("--out").arg(&module))?;
-    for (package, image) in IMAGES {
-        let mut build = tools.board.tool("cargo");
-        build
-            .args(["build", "--profile", PROFILE, "--target", TARGET])
-            .args(["-p", package, "--bin", image])
-            .env("FORETORQUE_ARM", &module)
-            .env("CARGO_TARGET_DIR", shell::root().join(BUILD));
-        shell::run(&mut build)?;
-        let elves = shell::root().join(BUILD).join(TARGET).join(PROFILE);
-        let bytes = shell::read(&elves.join(image))?;
+    let target = shell::root().join(BUILD);
+    let mut build = board.board_cargo("build");
+    build
+        .args(images.iter().flat_map(|image| ["--bin", image]))
+        .env("FORETORQUE_ARM", &module)
+        // What does not depend on the arm is not compiled again.
+        .env("CARGO_BUILD_BUILD_DIR", shell::root().join("target"))
+        .env("CARGO_TARGET_DIR", &target);
+    shell::run(&mut build)?;
+    for image in images {
         let kept = out.join(image);
-        shell::write(&kept, &bytes)?;
+        let elf = target.join(TARGET).join(PROFILE).join(image);
+        shell::write(&kept, shell::read(&elf)?)?;
         let (flash, ram) = foretorque_cost::sizes(&kept)?;
         println!(
             "{image}: {flash} bytes of flash, {ram} bytes of static RAM: {}",
@@ -60,9 +106,5 @@ pub(crate) fn run(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
         );
     }
     foretorque_cost::check_firmware(&out, &[foretorque_cost::JOINT])?;
-    println!(
-        "host-sim run --robot {} --board qemu … runs it",
-        shell::shown(&toml)
-    );
-    Ok(())
+    Ok(out)
 }

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result};
 
+use crate::arm;
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command};
 use crate::toolchain;
@@ -25,7 +26,7 @@ pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
     let tools = setup::run(forced)?;
     let mut firmware = tools.board.board_cargo("build");
     shell::run(firmware.args(["--bin", "joint", "--bin", "bulk"]))?;
-    shell::run(command("cargo").args(["build", "--release", "-p", "host-sim"]))?;
+    arm::host_sim()?;
     println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
     host_sim("experiment demo --out target/foretorque/demo")?;
     let elf = toolchain::elf("joint");
@@ -52,6 +53,7 @@ pub(crate) fn faults(forced: Option<Way>, accept: bool) -> Result<()> {
 /// Sets up, builds, measures and compares with docs/budget.md; `accept` writes that page anew.
 pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     let board = setup::run(forced)?.board;
+    let arms = arm::larger(board, &arm::host_sim()?, &["bench", "joint"])?;
     let mut build = board.board_cargo("build");
     shell::run(build.args([
         "--bin",
@@ -65,5 +67,6 @@ pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     ]))?;
     let version = capture(board.tool("rustc").arg("--version"));
     let version = version.context("rustc reports no version")?;
-    foretorque_cost::bench(&toolchain::elves(), &shell::root(), version.trim(), accept)
+    let (elves, root) = (toolchain::elves(), shell::root());
+    foretorque_cost::bench(&elves, &arms, &root, version.trim(), accept)
 }

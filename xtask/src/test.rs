@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail};
 use foretorque_cost as cost;
 
+use crate::arm;
 use crate::capi;
 use crate::circles;
 use crate::fuzz;
@@ -52,6 +53,15 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     for (name, mut gate) in builds(tools) {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
+    outcomes.push(pass("7 and 8 joints", || {
+        // Built with the tests.
+        let host_sim = shell::root().join("target/debug/host-sim");
+        arm::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
+    }));
+    // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
+    let mut firmware = tools.board.board_cargo("build");
+    firmware.arg("--bins");
+    outcomes.push(pass("firmware", || shell::run(&mut firmware)));
     outcomes.push(pass("linked firmware", || {
         let names = [cost::JOINT, cost::DRIVE, cost::CAN];
         cost::check_firmware(&toolchain::elves(), &names)
@@ -113,8 +123,8 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
     let mut log_clippy = tools.board.board_library_cargo("clippy");
     log_clippy.args(["--features", "defmt"]).args(STRICT);
     let no_std = tools.board.board_library_cargo("build");
-    let mut firmware = tools.board.board_cargo("build");
-    firmware.arg("--bins");
+    let mut tests = command("cargo");
+    tests.args(["test", "--workspace", "--no-run"]);
     vec![
         ("format", fmt),
         ("clippy, host", clippy),
@@ -122,7 +132,7 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
         ("clippy, no log", plain_clippy),
         ("clippy, log", log_clippy),
         ("no_std library", no_std),
-        ("firmware", firmware),
+        ("tests, built", tests),
     ]
 }
 

@@ -1,5 +1,7 @@
-//! Arms read at run time give the bits of compiled ones, for any number of joints; modules of arms; shipped profiles.
+//! Arms read at run time give the bits of compiled ones and of emulated boards, for any number of joints; modules of arms;
+//! shipped profiles.
 
+use crate::trial::{PATIENCE, started};
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque::arm::{Arm, ArmModel};
@@ -9,7 +11,8 @@ use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector}
 use foretorque::learning::{LearnerConfig, ParameterSet, prior_factor, prior_factor_count};
 use foretorque_link::bank::{ColumnKind, NETWORK_SEED, ParameterBank};
 use foretorque_workbench::arms;
-use foretorque_workbench::board::{BoardError, Client, Described, Native};
+use foretorque_workbench::board::qemu::{Image, QemuOptions};
+use foretorque_workbench::board::{BoardError, Client, Described, Native, Transport};
 use foretorque_workbench::bus::Profile;
 use foretorque_workbench::generate::{arm_hash, arm_module, write_arm_module};
 use foretorque_workbench::robot::Robot;
@@ -68,22 +71,33 @@ fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
         assert_eq!(prior_factor::<A, N, P>(index), read);
     }
     let board = Box::new(Native::<A, N, P>::new().unwrap());
-    let mut compiled = Client::<N>::connect::<A, P>(board, BOOT).unwrap();
+    let compiled = Client::<N>::connect::<A, P>(board, BOOT).unwrap();
     let board = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
-    let mut read = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
+    let read = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
     assert_eq!(compiled.hello(), read.hello());
-    for client in [&mut compiled, &mut read] {
+    the_same_learning::<A, N, P>([compiled, read], 4000);
+}
+
+/// Torques, flags and the bank of two boards of one arm that learn.
+fn the_same_learning<A: Arm<N, P>, const N: usize, const P: usize>(
+    mut boards: [Client<N>; 2],
+    ticks: u32,
+) {
+    for client in &mut boards {
         client.arm(&sample::<A, N, P>(0)).unwrap();
         client.learning(true).unwrap();
     }
-    let adopted = compiled.read_bank().unwrap();
-    for tick in 1..4000 {
+    let adopted = boards[0].read_bank().unwrap();
+    for tick in 1..ticks {
         let sample = sample::<A, N, P>(tick);
-        let [a, b] = [&mut compiled, &mut read].map(|client| client.sample(&sample).unwrap());
-        let [a, b] = [a, b].map(|reply| (reply.flags, reply.total.map(f32::to_bits)));
+        let replies = boards
+            .each_mut()
+            .map(|board| board.sample(&sample).unwrap());
+        assert!(replies[0].total.iter().all(|tau| tau.is_finite()));
+        let [a, b] = replies.map(|reply| (reply.flags, reply.total.map(f32::to_bits)));
         assert_eq!(a, b, "tick {tick}");
     }
-    let learnt = [&mut compiled, &mut read].map(|client| client.read_bank().unwrap());
+    let learnt = boards.each_mut().map(|board| board.read_bank().unwrap());
     assert!(learnt[0] == learnt[1], "learnt banks differ");
     assert!(learnt[0] != adopted, "nothing was learnt");
 }
@@ -96,6 +110,29 @@ fn a_ur5_read_at_run_time_has_the_bits_of_the_compiled_one() {
 #[test]
 fn a_panda_read_at_run_time_has_the_bits_of_the_compiled_one() {
     the_same_session::<Panda, 7, 48>("panda");
+}
+
+#[test]
+fn emulated_boards_of_seven_and_eight_joints_give_the_bits_of_the_native_ones() {
+    for name in ["panda7", "eight"] {
+        let mut options = QemuOptions::new(Image::Joint);
+        options.elf = Image::Joint.elf_of(name);
+        let built = options.elf.with_file_name(format!("{name}.toml"));
+        assert!(
+            built.is_file(),
+            "no images of `{name}`: `cargo xtask test` builds them"
+        );
+        let robot = Robot::load(&built.to_string_lossy()).unwrap();
+        // Room for no more than the base parameters of the arm: sums of the learner have the order of the image.
+        arms!(robot, N, P in (7, 48) (8, 56) => {
+            Described::<N, P>::read(&robot).unwrap();
+            let native: Box<dyn Transport> = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
+            let emulated: Box<dyn Transport> = Box::new(started(&options));
+            let boards = [native, emulated]
+                .map(|board| Client::connect::<Described<N, P>, P>(board, PATIENCE).unwrap());
+            the_same_learning::<Described<N, P>, N, P>(boards, 600);
+        }, else unreachable!());
+    }
 }
 
 #[test]

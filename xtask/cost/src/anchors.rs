@@ -42,6 +42,9 @@ const ANCHORS: &[Anchor] = &[
     against("bp_18_32_6_update, est. cycles", 11635, 11635, PLAIN_C),
     alone("feedforward_step, est. cycles", 12_000),
     alone("learning_step, est. cycles", 60_000),
+    // Three quarters of 1 ms at 168 MHz, and all of it.
+    alone("tick and learning step of 7 joints, est. cycles", 126_000),
+    alone("tick and learning step of 8 joints, est. cycles", 168_000),
     alone("flash, bytes", 128 << 10),
     alone("flash of joint-drive, bytes", 128 << 10),
     alone("static RAM, bytes", 64 << 10),

@@ -19,7 +19,7 @@ mod thumb;
 mod trace;
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 
@@ -43,11 +43,18 @@ const COMMAND_CYCLES: u64 = 16_800;
 /// Place of the figures, from the workspace's root.
 const OUT: &str = "target/foretorque/bench.json";
 
-/// Measures the ELF files `bench`, `joint` and `joint-drive` in `elves`, prints the table, writes `bench.json` below `root`,
-/// and compares with the budget; `accept` writes the budget anew.
+/// Measures the ELF files `bench`, `joint`, `joint-drive` and `joint-can` in `elves`, prints the table, writes `bench.json`
+/// below `root`, and compares with the budget; `accept` writes the budget anew.
 ///
-/// `toolchain` is the version line of the compiler that built them.
-pub fn bench(elves: &Path, root: &Path, toolchain: &str, accept: bool) -> Result<()> {
+/// * `arms` numbers of joints of other arms, and directories with their `bench` and `joint`
+/// * `toolchain` version line of the compiler that built them
+pub fn bench(
+    elves: &Path,
+    arms: &[(usize, PathBuf)],
+    root: &Path,
+    toolchain: &str,
+    accept: bool,
+) -> Result<()> {
     let (rows, spread) = row::measure(&elves.join("bench"))?;
     let joint = Image::read(&elves.join(JOINT))?;
     let reached = gates::check(&joint)?;
@@ -55,7 +62,12 @@ pub fn bench(elves: &Path, root: &Path, toolchain: &str, accept: bool) -> Result
     let drive = firmware(elves, DRIVE)?;
     let can = firmware(elves, CAN)?;
 
-    let measured = quantities(&rows, &spread, &memory, &drive, &can);
+    let arms = arms.iter();
+    let arms = arms.map(|(joints, elves)| Arm::measure(*joints, elves));
+    let arms = arms.collect::<Result<Vec<_>>>()?;
+
+    let images = [(JOINT, &memory), (DRIVE, &drive), (CAN, &can)];
+    let measured = quantities(&rows, &spread, &images, &arms);
     let mut budget = Budget::read(root);
     if accept {
         let accepted = budget.unwrap_or_default().accept(toolchain, &measured)?;
@@ -126,20 +138,83 @@ fn firmware(elves: &Path, name: &str) -> Result<Memory> {
     Ok(memory)
 }
 
-/// Every quantity with a budget.
-fn quantities(
-    rows: &[Row],
-    spread: &Spread,
-    memory: &Memory,
-    drive: &Memory,
-    can: &Memory,
-) -> Vec<Measured> {
-    let measured = |quantity: String, value: u64, how: String| Measured {
+/// Cost of an arm with another number of joints than the UR5.
+struct Arm {
+    joints: usize,
+    /// Estimated cycles of a tick and of a learning step.
+    cycles: [u64; 2],
+    memory: Memory,
+}
+
+/// Rows of a tick and of a learning step.
+const STEPS: [&str; 2] = ["feedforward_step", "learning_step"];
+
+impl Arm {
+    /// Measures the ELF files `bench` and `joint` in `elves`.
+    fn measure(joints: usize, elves: &Path) -> Result<Self> {
+        let (rows, _) = row::measure(&elves.join("bench"))?;
+        let mut cycles = [0; 2];
+        for (cycles, name) in cycles.iter_mut().zip(STEPS) {
+            let row = rows.iter().find(|row| row.name == name);
+            let row = row.with_context(|| format!("`bench` has no row `{name}`"))?;
+            *cycles = row.cycles.ceil() as u64;
+        }
+        let memory = firmware(elves, JOINT)?;
+        Ok(Self {
+            joints,
+            cycles,
+            memory,
+        })
+    }
+
+    fn quantities(&self) -> Vec<Measured> {
+        let of = format!(" of {} joints", self.joints);
+        let [tick, learning] = self.cycles;
+        let [tick_row, learning_row] = STEPS;
+        let both = ("tick and learning step", tick + learning);
+        let cycles = [(tick_row, tick), (learning_row, learning), both];
+        let cycles = cycles.map(|(what, value)| {
+            measured(format!("{what}{of}, est. cycles"), value, TRACED.into())
+        });
+        let bytes = bytes(&of, JOINT, &self.memory);
+        cycles.into_iter().chain(bytes).collect()
+    }
+}
+
+/// Means of estimated cycles.
+const TRACED: &str = "estimate over the traced instructions";
+
+fn measured(quantity: String, value: u64, how: String) -> Measured {
+    Measured {
         quantity,
         value,
         how,
         allowed: None,
-    };
+    }
+}
+
+/// Bytes of a firmware; `of` is the end of their names in the budget.
+fn bytes(of: &str, image: &str, memory: &Memory) -> [Measured; 4] {
+    let sections = format!("sections of `{image}`");
+    let bound = format!("bound from the code of `{image}`");
+    let tick = format!("{bound}, exception frame included");
+    let nested = format!("{bound}: main and every handler");
+    [
+        ("flash", memory.flash_bytes, sections.clone()),
+        ("static RAM", memory.ram_bytes, sections),
+        ("stack of the tick", memory.stack_bytes, tick),
+        ("stack of everything nested", memory.nested_bytes, nested),
+    ]
+    .map(|(what, bytes, how)| measured(format!("{what}{of}, bytes"), bytes.into(), how))
+}
+
+/// Every quantity with a budget.
+fn quantities(
+    rows: &[Row],
+    spread: &Spread,
+    images: &[(&str, &Memory)],
+    arms: &[Arm],
+) -> Vec<Measured> {
     let dearest = rows.iter().filter(|row| row.name == COMMAND);
     let dearest = dearest.map(|row| Measured {
         allowed: Some(COMMAND_CYCLES),
@@ -153,58 +228,20 @@ fn quantities(
         let [instructions, cycles] = row.quantities();
         let counted = row.instructions.ceil() as u64;
         let priced = row.cycles.ceil() as u64;
+        let how = "emulator, counted by TIM2 under -icount";
         [
-            measured(
-                instructions,
-                counted,
-                "emulator, counted by TIM2 under -icount".into(),
-            ),
-            measured(
-                cycles,
-                priced,
-                "estimate over the traced instructions".into(),
-            ),
+            measured(instructions, counted, how.into()),
+            measured(cycles, priced, TRACED.into()),
         ]
     });
-    let sections = |image| format!("sections of `{image}`");
-    let bound = |image, what| format!("bound from the code of `{image}`{what}");
-    let (tick, all) = (", exception frame included", ": main and every handler");
-    let bytes = [
-        ("flash", "", memory.flash_bytes, sections(JOINT)),
-        ("static RAM", "", memory.ram_bytes, sections(JOINT)),
-        (
-            "stack of the tick",
-            "",
-            memory.stack_bytes,
-            bound(JOINT, tick),
-        ),
-        (
-            "stack of everything nested",
-            "",
-            memory.nested_bytes,
-            bound(JOINT, all),
-        ),
-        ("static RAM", DRIVE, drive.ram_bytes, sections(DRIVE)),
-        (
-            "stack of the tick",
-            DRIVE,
-            drive.stack_bytes,
-            bound(DRIVE, tick),
-        ),
-        ("flash", DRIVE, drive.flash_bytes, sections(DRIVE)),
-        ("flash", CAN, can.flash_bytes, sections(CAN)),
-        ("static RAM", CAN, can.ram_bytes, sections(CAN)),
-        (
-            "stack of everything nested",
-            CAN,
-            can.nested_bytes,
-            bound(CAN, all),
-        ),
-    ];
-    let bytes = bytes.map(|(what, image, bytes, how)| {
-        let of = if image.is_empty() { "" } else { " of " };
-        measured(format!("{what}{of}{image}, bytes"), bytes.into(), how)
+    let images = images.iter().flat_map(|(image, memory)| {
+        let of = match *image {
+            JOINT => String::new(),
+            other => format!(" of {other}"),
+        };
+        bytes(&of, image, memory)
     });
+    let arms = arms.iter().flat_map(Arm::quantities);
     let long_run = Measured {
         allowed: Some(PERMILLE_LIMIT),
         ..measured(
@@ -213,5 +250,6 @@ fn quantities(
             "emulator, 100000 different ticks with the learner at work".into(),
         )
     };
-    rows.chain(dearest).chain(bytes).chain([long_run]).collect()
+    let all = rows.chain(dearest).chain(images).chain(arms);
+    all.chain([long_run]).collect()
 }

@@ -3,6 +3,8 @@
 //! One line `name count` leaves over semihosting for every call of every row. The count is that of TIM2, which under
 //! `-icount shift=0` advances by one for each executed instruction. The semihosting command line is the number of
 //! calls of each row, then the number of ticks of the long run, of which one line `name least sum most` leaves.
+//!
+//! Rows of the UR5 are those of another arm where `FORETORQUE_ARM` names one to the build.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
@@ -22,7 +24,9 @@ mod stage;
 use core::mem::MaybeUninit;
 
 #[cfg(target_os = "none")]
-use foretorque::arm::ur5::Learner;
+use foretorque_f405::arm::Learner;
+#[cfg(target_os = "none")]
+use stage::LINKS;
 
 #[cfg(target_os = "none")]
 #[cortex_m_rt::entry]
@@ -47,12 +51,17 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
     static mut LEARNER: Learner = stage::Stage::LEARNER;
     // SAFETY: this function runs once, nothing else names the static, and no interrupt is enabled.
     let mut learner = unsafe { &mut *core::ptr::addr_of_mut!(LEARNER) };
-    let link = cortex_m::singleton!(: MaybeUninit<commands::Link> = MaybeUninit::uninit())?;
-    let mut link = commands::Link::init(link)?;
-    let bus = cortex_m::singleton!(: MaybeUninit<bus::Bus> = MaybeUninit::uninit())?;
-    let mut bus = bus::Bus::init(bus)?;
+    let link = cortex_m::singleton!(: [MaybeUninit<commands::Link>; LINKS] = [const { MaybeUninit::uninit() }; LINKS])?;
+    let mut link = link
+        .each_mut()
+        .map(|place| commands::Link::init(place).expect("a board of the UR5"));
+    let bus = cortex_m::singleton!(: [MaybeUninit<bus::Bus>; LINKS] = [const { MaybeUninit::uninit() }; LINKS])?;
+    let mut bus = bus
+        .each_mut()
+        .map(|place| bus::Bus::init(place).expect("a bus of the UR5"));
     let mut paper = cortex_m::singleton!(: stage::Paper = stage::Paper::zeros())?;
-    for row in rows::ROWS {
+    let links: &[_] = if LINKS > 0 { rows::LINK_ROWS } else { &[] };
+    for row in rows::ARM_ROWS.iter().chain(links) {
         (learner, link, bus, paper) = count_row(row, calls, (learner, link, bus, paper))?;
     }
     if ticks > 0 {
@@ -66,26 +75,32 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
 #[cfg(target_os = "none")]
 #[inline(never)]
 fn count_row(row: &rows::Row, calls: u32, parts: stage::Parts) -> Option<stage::Parts> {
-    let mut stage = stage::Stage::new(parts)?;
+    let mut place = stage::Stage::new(parts);
+    let stage = place.as_mut()?;
+    stage.warm_up();
     for _ in 0..calls {
         stage.vary();
-        match row.name {
-            "command" => stage.link.next(false),
-            "configure" => stage.link.next(true),
-            _ => {}
+        for link in &mut stage.link {
+            match row.name {
+                "command" => link.next(false),
+                "configure" => link.next(true),
+                _ => {}
+            }
         }
-        let count = machine::count(row.run, &mut stage);
+        let count = machine::count(row.run, stage);
         cortex_m_semihosting::hprintln!("{} {}", row.name, count);
     }
-    Some((stage.learner, stage.link, stage.bus, stage.paper))
+    place.map(|stage| (stage.learner, stage.link, stage.bus, stage.paper))
 }
 
 /// Counts the ticks of the long run.
 #[cfg(target_os = "none")]
 #[inline(never)]
 fn count_long_run(ticks: u32, parts: stage::Parts) -> Option<()> {
-    let mut stage = stage::Stage::new(parts)?;
-    let spread = long_run::of_step(&mut stage, ticks);
+    let mut place = stage::Stage::new(parts);
+    let stage = place.as_mut()?;
+    stage.warm_up();
+    let spread = long_run::of_step(stage, ticks);
     cortex_m_semihosting::hprintln!(
         "feedforward_step {} {} {}",
         spread.least,

@@ -2,18 +2,16 @@
 
 use core::f32::consts::TAU;
 
-use foretorque::arm::Arm;
+use foretorque::arm::Arm as _;
 use foretorque::arm::panda::{self, Panda};
-use foretorque::arm::ur5::{
-    Exchange, FeedForward, JOINTS, Learner, LearnerConfig, ParameterSet, Ur5,
-};
 use foretorque::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
-use foretorque::feedforward::FeedForwardConfig;
+use foretorque::feedforward::{FeedForward, FeedForwardConfig};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::LearningSample;
+use foretorque::learning::{Exchange, LearnerConfig, LearningSample, ParameterSet};
 use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
+use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS};
 use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 use nalgebra::SVector;
 
@@ -27,14 +25,17 @@ const WARM_UP: u32 = 48;
 /// Bound of the noise on the measured torque, in units of the torque limit.
 const NOISE: f32 = 0.01;
 
+/// Number of links and of buses of a UR5 beside the arm: the learner of a larger arm leaves no room for them.
+pub(crate) const LINKS: usize = if JOINTS <= 6 { 1 } else { 0 };
+
 /// Network of the paper.
 pub(crate) type Paper = BpNetwork<18, 32, 6>;
 
 /// Parts that the stages take over from one another.
 pub(crate) type Parts = (
     &'static mut Learner,
-    &'static mut Link,
-    &'static mut Bus,
+    [&'static mut Link; LINKS],
+    [&'static mut Bus; LINKS],
     &'static mut Paper,
 );
 
@@ -52,21 +53,23 @@ pub(crate) struct Stage {
     pub(crate) target: SVector<f32, 6>,
     pub(crate) output: SVector<f32, 6>,
     pub(crate) step: StepParameters,
-    pub(crate) set: ParameterSet,
+    pub(crate) set: ParameterSet<JOINTS, PARAMETERS>,
     pub(crate) calibrated: BaseParameters<{ ur5_calibrated::PARAMETERS }>,
+    pub(crate) calibrated_motion: JointMotion<{ ur5_calibrated::JOINTS }>,
+    pub(crate) calibrated_tau: JointVector<{ ur5_calibrated::JOINTS }>,
     pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
     pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
     pub(crate) sample: JointSample<JOINTS>,
-    pub(crate) feedforward: FeedForward,
+    pub(crate) feedforward: FeedForward<Arm, JOINTS, PARAMETERS>,
     pub(crate) lesson: LearningSample<JOINTS>,
-    pub(crate) exchange: Exchange,
+    pub(crate) exchange: Exchange<JOINTS, PARAMETERS>,
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
     pub(crate) learner: &'static mut Learner,
     /// Beside the stage too.
-    pub(crate) link: &'static mut Link,
+    pub(crate) link: [&'static mut Link; LINKS],
     /// Beside the stage too.
-    pub(crate) bus: &'static mut Bus,
+    pub(crate) bus: [&'static mut Bus; LINKS],
     /// Beside the stage too.
     pub(crate) paper: &'static mut Paper,
     random: Random,
@@ -79,13 +82,13 @@ impl Stage {
         unsafe { core::mem::MaybeUninit::zeroed().assume_init() }
     };
 
-    /// The stage after the warm-up; `None` if a configuration does not validate. Inlined, because the stack has no room for a
-    /// second stage.
+    /// The stage before the warm-up; `None` if a configuration does not validate. Inlined and used in place, because the stack
+    /// has no room for a second stage.
     #[inline(always)]
     pub(crate) fn new((learner, link, bus, paper): Parts) -> Option<Self> {
         *paper = Paper::random(1);
-        let mut set = ParameterSet::nominal::<Ur5>(1);
-        for (friction, limits) in set.friction.iter_mut().zip(&Ur5::LIMITS) {
+        let mut set = ParameterSet::nominal::<Arm>(1);
+        for (friction, limits) in set.friction.iter_mut().zip(&Arm::LIMITS) {
             *friction = FrictionParameters::NONE
                 .with(FrictionColumn::Viscous, 0.05 * limits.torque)
                 .with(FrictionColumn::Coulomb, 0.05 * limits.torque)
@@ -97,12 +100,9 @@ impl Stage {
                 .with(FrictionColumn::CoggingCosine, 0.001 * limits.torque);
         }
         learner
-            .restart(LearnerConfig::for_arm::<Ur5>(PERIOD), &set)
+            .restart(LearnerConfig::for_arm::<Arm>(PERIOD), &set)
             .ok()?;
-        let mut feedforward =
-            FeedForward::new(FeedForwardConfig::for_arm::<Ur5, _>(PERIOD), set).ok()?;
-        feedforward.set_learning(true);
-        let mut stage = Self {
+        Some(Self {
             random: Random(0x9E37_79B9),
             set,
             motion: JointMotion::zero(),
@@ -111,6 +111,8 @@ impl Stage {
             sin_cos: SinCos { sin: 0.0, cos: 1.0 },
             tau: JointVector::zeros(),
             calibrated: BaseParameters::from(Ur5Calibrated::NOMINAL),
+            calibrated_motion: JointMotion::zero(),
+            calibrated_tau: JointVector::zeros(),
             panda: BaseParameters::from(Panda::NOMINAL),
             panda_motion: JointMotion::zero(),
             panda_tau: JointVector::zeros(),
@@ -121,7 +123,8 @@ impl Stage {
                 learning_rate: 0.01,
                 error_clip: 0.5,
             },
-            feedforward,
+            feedforward: FeedForward::new(FeedForwardConfig::for_arm::<Arm, _>(PERIOD), set)
+                .ok()?,
             sample: JointSample {
                 desired: JointMotion::zero(),
                 measured: None,
@@ -139,24 +142,39 @@ impl Stage {
                 flags: Flags::NONE,
             },
             exchange: Exchange::new(),
-        };
+        })
+    }
+
+    /// Switches learning on and fills the learner's window.
+    pub(crate) fn warm_up(&mut self) {
+        self.feedforward.set_learning(true);
         for _ in 0..WARM_UP {
-            stage.vary();
+            self.vary();
             // With learning off a learning step only fills the window of measurements.
-            stage.lesson.enabled = false;
-            stage.learner.learn(&stage.lesson, &mut stage.exchange);
+            self.lesson.enabled = false;
+            self.learner.learn(&self.lesson, &mut self.exchange);
         }
-        Some(stage)
     }
 
     /// Next inputs: a random state of the arm for the kernels, the next tick of a smooth motion for what has a memory.
     pub(crate) fn vary(&mut self) {
         let random = &mut self.random;
-        for (joint, limits) in Ur5::LIMITS.iter().enumerate() {
+        for (joint, limits) in Arm::LIMITS.iter().enumerate() {
             self.motion.q[joint] = random.within(TAU);
             self.motion.qd[joint] = random.within(limits.velocity);
             self.motion.qdd[joint] = random.within(10.0);
         }
+        let Self {
+            motion,
+            calibrated_motion: copy,
+            ..
+        } = self;
+        for joint in 0..JOINTS.min(ur5_calibrated::JOINTS) {
+            copy.q[joint] = motion.q[joint];
+            copy.qd[joint] = motion.qd[joint];
+            copy.qdd[joint] = motion.qdd[joint];
+        }
+        let random = &mut self.random;
         for (joint, limits) in Panda::LIMITS.iter().enumerate() {
             self.panda_motion.q[joint] = random.within(TAU);
             self.panda_motion.qd[joint] = random.within(limits.velocity);
@@ -170,7 +188,7 @@ impl Stage {
         let tick = self.lesson.tick.wrapping_add(1);
         let wave = wave(tick);
         let mut tau = wave.q;
-        for (tau, limits) in tau.iter_mut().zip(&Ur5::LIMITS) {
+        for (tau, limits) in tau.iter_mut().zip(&Arm::LIMITS) {
             *tau = limits.torque * (0.2 * *tau + random.within(NOISE));
         }
         let measured = Some(JointMeasurement { q: wave.q, tau });
