@@ -71,7 +71,7 @@ fn the_share_of_cogging_is_that_of_the_desired_place() {
             tau: JointVector::zeros(),
         };
         let measured = Some(late);
-        let mut tick = tick(cogging.clone());
+        let mut tick = tick(cogging);
         let share = tick.step(&JointSample { desired, measured }).shares;
         assert!((share.friction - wanted.friction).amax() < 1e-4, "{k}");
         assert_eq!((share.rigid, share.network), (wanted.rigid, wanted.network));
