@@ -1,6 +1,6 @@
 use super::dense_ud::DenseUdFilter;
 use super::parameters::{
-    JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, network_inputs, network_output,
+    JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, network_inputs, network_output,
 };
 use crate::limits::cut;
 use crate::network::StepParameters;
@@ -244,7 +244,7 @@ impl<const N: usize> NetworkTrainer<N> {
             config.memory_rows,
         );
         if row.of_arm {
-            self.learn(config, joint, row, &hidden);
+            self.learn(config, joint, row, (&x, &hidden, output));
         }
         if complete {
             self.decide(joint, active)
@@ -253,13 +253,17 @@ impl<const N: usize> NetworkTrainer<N> {
         }
     }
 
-    /// Update the candidate of `joint`, whose hidden units have the outputs `hidden` at the row.
+    /// Update the candidate of `joint` with its inputs `x`, hidden units and output at the row.
     fn learn(
         &mut self,
         config: &TrainerConfig,
         joint: usize,
         row: &NetworkRow,
-        hidden: &SVector<f32, NETWORK_HIDDEN>,
+        (x, hidden, output): (
+            &SVector<f32, NETWORK_INPUTS>,
+            &SVector<f32, NETWORK_HIDDEN>,
+            f32,
+        ),
     ) {
         let (Some(candidate), Some(filter)) =
             (self.candidate.get_mut(joint), self.filter.get_mut(joint))
@@ -267,14 +271,12 @@ impl<const N: usize> NetworkTrainer<N> {
             return;
         };
         let inverse = 1.0 / row.sigma;
-        let x = network_inputs(row.qd);
-        let output = candidate.output(hidden)[0];
         let step = StepParameters {
             learning_rate: config.hidden_rate,
             error_clip: config.clip_sigmas * row.sigma,
         };
         // The filter updates the output layer.
-        candidate.update_hidden(&x, hidden, &SVector::from([output - row.residual]), &step);
+        candidate.update_hidden(x, hidden, &SVector::from([output - row.residual]), &step);
         let scale = config.output_sigma * inverse;
         let mut phi = [scale; OUTPUTS];
         for (phi, hidden) in phi.iter_mut().zip(hidden.iter()) {
