@@ -1,5 +1,5 @@
 use super::{SafetyLimits, SafetyReason};
-use foretorque::joint::{JointSample, JointVector};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::limits::cut;
 
 /// Fresh, plausible samples in a row that arming requires.
@@ -12,9 +12,8 @@ const IMPLAUSIBLE_WEIGHT: u32 = 4;
 /// Plausibility and age of the samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct InputState<const N: usize> {
-    plausibility: PlausibilityState<N>,
     /// Fault of the input of this tick.
-    fault: SafetyReason,
+    pub(super) fault: SafetyReason,
     /// Plausible samples in a row, without a time-out between them.
     good_samples: u32,
     /// Periods since the last usable sample.
@@ -26,18 +25,21 @@ pub(super) struct InputState<const N: usize> {
     /// Weighted count of implausible samples, less the plausible ones.
     implausible_score: u32,
     /// Samples of which a part was implausible.
-    implausible: u32,
+    pub(super) implausible: u32,
     /// Samples in a row whose desired position is far from the one measured.
     far_samples: u32,
     /// The desired position of the last usable sample is near the one measured last.
     near: bool,
+    /// Desired position that follows those of the samples no faster than a joint moves, N × rad.
+    desired: Option<JointVector<N>>,
+    /// Position measured last, likewise.
+    pub(super) measured: Option<JointVector<N>>,
 }
 
 impl<const N: usize> InputState<N> {
     /// Before the first sample.
     pub(super) const fn new() -> Self {
         Self {
-            plausibility: PlausibilityState::new(),
             fault: SafetyReason::None,
             good_samples: 0,
             since_usable: 0,
@@ -47,22 +49,9 @@ impl<const N: usize> InputState<N> {
             implausible: 0,
             far_samples: 0,
             near: false,
+            desired: None,
+            measured: None,
         }
-    }
-
-    /// Fault of the input of this tick.
-    pub(super) fn fault(&self) -> SafetyReason {
-        self.fault
-    }
-
-    /// Samples of which a part was implausible.
-    pub(super) fn implausible(&self) -> u32 {
-        self.implausible
-    }
-
-    /// Position measured last, N × rad.
-    pub(super) fn measured_q(&self) -> Option<&JointVector<N>> {
-        self.plausibility.measured_q()
     }
 
     /// No usable sample arrived for too long.
@@ -142,19 +131,17 @@ impl<const N: usize> InputState<N> {
             self.fault = SafetyReason::None;
             return None;
         };
-        let periods = periods.max(self.since_sample);
+        // After a second any position is plausible; its product with a speed stays small enough to be exact.
+        let periods = periods.max(self.since_sample).clamp(1, 10_000) as f32;
         self.since_sample = 0;
-        let mut verdict = self.plausibility.check(limits, &sample, periods);
+        let desired = self.check_desired(limits, &sample.desired, periods);
+        let mut measured = self.check_measured(limits, sample.measured.as_ref(), periods);
         if sensor != SafetyReason::None {
-            verdict.measured = sensor;
+            measured = sensor;
         }
-        let usable = verdict.desired == SafetyReason::None;
-        self.fault = if usable {
-            verdict.measured
-        } else {
-            verdict.desired
-        };
-        if verdict.measured != SafetyReason::None {
+        let usable = desired == SafetyReason::None;
+        self.fault = if usable { measured } else { desired };
+        if measured != SafetyReason::None {
             sample.measured = None;
         }
         self.good_samples = match &sample.measured {
@@ -163,7 +150,7 @@ impl<const N: usize> InputState<N> {
         };
         if usable {
             self.since_usable = 0;
-            self.near = self.plausibility.near(&sample, ARM_DISTANCE);
+            self.near = self.is_near(&sample);
         }
         if sample.measured.is_some() {
             self.since_measured = 0;
@@ -179,82 +166,47 @@ impl<const N: usize> InputState<N> {
             self.implausible_score = self.implausible_score.saturating_add(IMPLAUSIBLE_WEIGHT);
             self.implausible = self.implausible.saturating_add(1);
         }
-        let admitted = verdict.desired != SafetyReason::DesiredJump;
-        admitted.then_some(sample)
-    }
-}
-
-/// Positions that follow those of the samples no faster than a joint moves, for the check of the next sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct PlausibilityState<const N: usize> {
-    desired: Option<JointVector<N>>,
-    measured: Option<JointVector<N>>,
-}
-
-/// Faults of a sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Verdict {
-    /// Of the desired motion; the sample is then not usable.
-    pub(super) desired: SafetyReason,
-    /// Of the measurement, which is then dropped.
-    pub(super) measured: SafetyReason,
-}
-
-impl<const N: usize> PlausibilityState<N> {
-    /// Before the first sample.
-    pub(super) const fn new() -> Self {
-        Self {
-            desired: None,
-            measured: None,
-        }
+        (desired != SafetyReason::DesiredJump).then_some(sample)
     }
 
-    /// Checks a sample that arrived `periods` after the one before.
+    /// Fault of a desired motion that came `periods` after the one before.
     ///
     /// A position may be [`jump_margin`](SafetyLimits::jump_margin) ahead of one that moves at the highest plausible speed:
     /// a single step uses the margin up, and a speed above that one exceeds it soon. A position that jumps and stays is
     /// refused once, one that alternates at every jump.
-    pub(super) fn check(
+    fn check_desired(
         &mut self,
         limits: &SafetyLimits<N>,
-        sample: &JointSample<N>,
-        periods: u32,
-    ) -> Verdict {
-        // After a second any position is plausible; the product stays small enough to be exact.
-        let periods = periods.clamp(1, 10_000) as f32;
-        let desired = &sample.desired;
+        desired: &JointMotion<N>,
+        periods: f32,
+    ) -> SafetyReason {
         let finite = all_finite(&desired.q) && all_finite(&desired.qd) && all_finite(&desired.qdd);
-        let jumped = finite && follow(limits, &mut self.desired, &desired.q, periods);
-        Verdict {
-            desired: first(&[
-                (!finite, SafetyReason::DesiredNotFinite),
-                (jumped, SafetyReason::DesiredJump),
-            ]),
-            measured: self.check_measured(limits, sample, periods),
+        if !finite {
+            SafetyReason::DesiredNotFinite
+        } else if follow(limits, &mut self.desired, &desired.q, periods) {
+            SafetyReason::DesiredJump
+        } else {
+            SafetyReason::None
         }
     }
 
-    /// Position measured last, N × rad, to the margin of a jump.
-    pub(super) fn measured_q(&self) -> Option<&JointVector<N>> {
-        self.measured.as_ref()
-    }
-
-    /// The measured position of every joint, or that measured last, lies within `distance`, rad, of the desired one.
-    pub(super) fn near(&self, sample: &JointSample<N>, distance: f32) -> bool {
+    /// The measured position of every joint, or that measured last, is near the desired one.
+    fn is_near(&self, sample: &JointSample<N>) -> bool {
         let measured = sample.measured.as_ref().map(|measured| &measured.q);
         measured.or(self.measured.as_ref()).is_some_and(|measured| {
             let mut joints = sample.desired.q.iter().zip(measured.iter());
-            joints.all(|(desired, measured)| (desired - measured).abs() <= distance)
+            joints.all(|(desired, measured)| (desired - measured).abs() <= ARM_DISTANCE)
         })
     }
 
+    /// Fault of a measurement that came `periods` after the one before, as that of a desired motion.
     fn check_measured(
         &mut self,
         limits: &SafetyLimits<N>,
-        sample: &JointSample<N>,
+        measured: Option<&JointMeasurement<N>>,
         periods: f32,
     ) -> SafetyReason {
-        let Some(measured) = &sample.measured else {
+        let Some(measured) = measured else {
             return SafetyReason::None;
         };
         let finite = all_finite(&measured.q) && all_finite(&measured.tau);
@@ -272,11 +224,12 @@ impl<const N: usize> PlausibilityState<N> {
             .iter()
             .zip(limits.effort.iter())
             .any(|(tau, most)| tau.abs() > *most);
-        first(&[
-            (outside, SafetyReason::PositionRange),
-            (jumped, SafetyReason::PositionJump),
-            (strong, SafetyReason::EffortRange),
-        ])
+        match (outside, jumped, strong) {
+            (true, ..) => SafetyReason::PositionRange,
+            (_, true, _) => SafetyReason::PositionJump,
+            (.., true) => SafetyReason::EffortRange,
+            _ => SafetyReason::None,
+        }
     }
 }
 
@@ -305,10 +258,4 @@ fn follow<const N: usize>(
 
 fn all_finite<const N: usize>(vector: &JointVector<N>) -> bool {
     vector.iter().all(|value| value.is_finite())
-}
-
-/// The first reason whose condition holds.
-fn first(conditions: &[(bool, SafetyReason)]) -> SafetyReason {
-    let found = conditions.iter().find(|(holds, _)| *holds);
-    found.map_or(SafetyReason::None, |(_, reason)| *reason)
 }

@@ -109,7 +109,7 @@ impl<const N: usize> Safety<N> {
         } else {
             SafetyReason::None
         };
-        let reasons = [self.latched, self.input.fault(), warm, self.ended];
+        let reasons = [self.latched, self.input.fault, warm, self.ended];
         let first = reasons
             .into_iter()
             .find(|&reason| reason != SafetyReason::None);
@@ -146,7 +146,7 @@ impl<const N: usize> Safety<N> {
 
     /// Samples of which a part was not plausible, since the start or [`restart`](Self::restart).
     pub fn implausible(&self) -> u32 {
-        self.input.implausible()
+        self.input.implausible
     }
 
     /// Takes the temperature of one motor, °C; an implausible one changes nothing.
@@ -287,7 +287,7 @@ impl<const N: usize> Safety<N> {
             .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
         let ends = withdrawn || self.state == SafetyState::RampDown;
         let closes = self.limits.brake_ticks > 0 && ends;
-        if let Some(q) = self.input.measured_q().filter(|_| closes) {
+        if let Some(q) = self.input.measured.as_ref().filter(|_| closes) {
             self.gravity = gravity::<A, N, P>(committed, q);
             if withdrawn {
                 return self.gravity;

@@ -8,6 +8,12 @@ use std::vec::Vec;
 
 const PAGE: &str = include_str!("../../../../../docs/safety.md");
 
+/// The row of the page that begins with `cells`.
+fn row(cells: &str) -> &'static str {
+    let row = PAGE.lines().find(|line| line.starts_with(cells));
+    row.unwrap_or_else(|| panic!("docs/safety.md has no row `{cells}`"))
+}
+
 /// A number as the page has it, to three places.
 fn text(value: f32) -> String {
     ((value * 1e3).round() / 1e3).to_string()
@@ -28,99 +34,49 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
         limits.effort[0] / arm.torque,
     );
     assert_eq!((text(effort), limits.torque[0]), ("3".into(), arm.torque));
-    let speed = format!(
-        "{} times",
-        text(limits.step_per_tick[0] * 1e3 / arm.velocity)
-    );
-    let jump = format!("{} rad that a faster motion", text(limits.jump_margin));
+    let speed = text(limits.step_per_tick[0] * 1e3 / arm.velocity);
+    let margin = text(limits.jump_margin);
+    let jump = format!("{speed} times …, and {margin} rad that a faster motion");
     assert_eq!(limits.brake_ticks, 0);
     assert_eq!(limits.with_brake(20_000, 1000).brake_ticks, 21);
     let overdue = (limits.temperature_ticks - 1) / 1000;
-    let near = format!("more than {} rad", text(ARM_DISTANCE));
-    let rows: &[(&str, &[String])] = &[
-        (
-            "| 2 | `RampDown` |",
-            &[format!("{hard} ms from the torque limit")],
-        ),
-        ("| torque |", &["the arm's torque limit".into()]),
-        (
-            "| slew |",
-            &[
-                format!("the torque limit in {hard} ms, counted"),
-                format!("is the torque limit in {soft} ms"),
-            ],
-        ),
-        (
-            "| motor temperature |",
-            &[
-                format!("from {WARM_C} °C to nothing at {HOT_C} °C"),
-                format!("counts as {HYSTERESIS_C} °C warmer"),
-                format!("for {overdue} to {} s counts as 85 °C", 2 * overdue),
-                "outside −40 to 125 °C".into(),
-            ],
-        ),
-        (
-            "| position measured |",
-            &[
-                format!("and {} rad;", text(range)),
-                speed.clone(),
-                jump.clone(),
-            ],
-        ),
-        ("| position desired |", &[speed, jump]),
-        (
-            "| following error |",
-            &[format!("{timeout} ms of samples"), near.clone()],
-        ),
-        ("| effort measured |", &["three torque limits".into()]),
-        (
-            "| age |",
-            &[
-                format!("{timeout} ms without a usable sample"),
-                format!("{measured} ms without a plausible measurement"),
-            ],
-        ),
-        (
-            &format!("| 0 to {hold} ms |"),
-            &["the torque is held".into()],
-        ),
-        (
-            &format!("| from {hold} ms |"),
-            &[format!("{soft} ms from the torque limit")],
-        ),
-        (
-            &format!("| {timeout} ms |"),
-            &["the board leaves `Armed`".into()],
-        ),
-        (
-            "| 2 | `CommandTimeout` |",
-            &[format!("{timeout} ms without a usable sample")],
-        ),
-        ("| 10 | `MotorWarm` |", &[format!("above {WARM_C} °C")]),
-        (
-            "| 11 | `MotorHot` |",
-            &[
-                format!("{HOT_C} °C or more"),
-                format!("below {} °C", HOT_C - HYSTERESIS_C),
-            ],
-        ),
-        ("| 15 | `NoSample` |", &["fewer than three".into()]),
-        ("| 16 | `TooFar` |", std::slice::from_ref(&near)),
-        (
-            "| 20 | `MeasurementTimeout` |",
-            &[format!("{measured} ms without a plausible measurement")],
-        ),
-        (
-            "| 21 | `FollowingError` |",
-            &[format!("{timeout} ms of samples"), near.clone()],
-        ),
+    let (late, near) = (2 * overdue, text(ARM_DISTANCE));
+    let cool = HOT_C - HYSTERESIS_C;
+    // Beginning of a row and parts of it, in their order.
+    let rows = [
+        format!("| 2 | `RampDown` |…{hard} ms from the torque limit"),
+        "| torque |…the arm's torque limit".into(),
+        format!("| slew |…the torque limit in {hard} ms, counted…is the torque limit in {soft} ms"),
+        format!("| motor temperature |…from {WARM_C} °C to nothing at {HOT_C} °C"),
+        format!("| motor temperature |…counts as {HYSTERESIS_C} °C warmer"),
+        format!("| motor temperature |…for {overdue} to {late} s counts as 85 °C"),
+        "| motor temperature |…outside −40 to 125 °C".into(),
+        format!("| position measured |…and {} rad;…{jump}", text(range)),
+        format!("| position desired |…{jump}"),
+        format!("| following error |…{timeout} ms of samples…more than {near} rad"),
+        "| effort measured |…three torque limits".into(),
+        format!("| age |…{timeout} ms without a usable sample"),
+        format!("| age |…{measured} ms without a plausible measurement"),
+        format!("| 0 to {hold} ms |…the torque is held"),
+        format!("| from {hold} ms |…{soft} ms from the torque limit"),
+        format!("| {timeout} ms |…the board leaves `Armed`"),
+        format!("| 2 | `CommandTimeout` |…{timeout} ms without a usable sample"),
+        format!("| 10 | `MotorWarm` |…above {WARM_C} °C"),
+        format!("| 11 | `MotorHot` |…{HOT_C} °C or more…below {cool} °C"),
+        "| 15 | `NoSample` |…fewer than three".into(),
+        format!("| 16 | `TooFar` |…more than {near} rad"),
+        format!("| 20 | `MeasurementTimeout` |…{measured} ms without a plausible measurement"),
+        format!("| 21 | `FollowingError` |…{timeout} ms of samples…more than {near} rad"),
     ];
     assert_eq!(ARM_SAMPLES, 3);
-    for (cells, texts) in rows {
-        let row = PAGE.lines().find(|line| line.starts_with(cells));
-        let row = row.unwrap_or_else(|| panic!("docs/safety.md has no row `{cells}`"));
-        for text in *texts {
-            assert!(row.contains(text), "{row}\nhas no `{text}`");
+    for wanted in &rows {
+        let mut parts = wanted.split('…');
+        let mut rest = row(parts.next().unwrap());
+        for part in parts {
+            let found = rest.split_once(part);
+            rest = found
+                .unwrap_or_else(|| panic!("`{wanted}` is not on the page"))
+                .1;
         }
     }
 }
@@ -135,8 +91,7 @@ fn torque_and_enable_of_every_state_are_those_of_its_row() {
     fault.torque_off(SafetyReason::Stopped);
     for mut safety in [ready(), armed(), falling, fault] {
         let state = safety.status().state;
-        let cells = format!("| {} | `{state:?}` |", state as u8);
-        let row = PAGE.lines().find(|line| line.starts_with(&cells)).unwrap();
+        let row = row(&format!("| {} | `{state:?}` |", state as u8));
         let columns: Vec<_> = row.split('|').map(str::trim).collect();
         assert_eq!(columns[4], if safety.enabled() { "on" } else { "off" });
         let before = safety.output().sum();
@@ -164,9 +119,8 @@ fn implausible(reason: SafetyReason, k: u32) -> (JointSample<N>, SafetyReason) {
 #[test]
 fn every_reason_of_the_page_ends_the_torque_as_its_row_has_it() {
     for reason in SafetyReason::ALL {
-        let cells = format!("| {} | `{reason:?}` |", reason.code());
-        let row = PAGE.lines().find(|line| line.starts_with(&cells));
-        let column = row.unwrap().split('|').nth(4).unwrap().trim();
+        let row = row(&format!("| {} | `{reason:?}` |", reason.code()));
+        let column = row.split('|').nth(4).unwrap().trim();
         let mut safety = armed();
         match column {
             // No torque yet, or one that goes on.
