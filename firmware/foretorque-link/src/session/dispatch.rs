@@ -194,9 +194,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::Telemetry { fields, every } => {
                 let allowance = self.allowance();
-                let mtu = self.board.link.mtu;
                 let stream = &mut self.protocol.stream;
-                stream.begin::<N>(fields, every, allowance, mtu)?;
+                stream.begin::<N>(fields, every, allowance)?;
             }
             HostMessage::Challenge => {
                 let key = board.write_key.as_ref().ok_or(NackReason::NotCapable)?;

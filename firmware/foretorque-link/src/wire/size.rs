@@ -1,6 +1,5 @@
 //! Wire sizes of the cyclic frames, and the capacity of the link that carries them.
 
-use super::MAX_FRAME;
 use crate::division::div_u64_by_u32;
 
 /// Version, sequence number and message tag, bytes.
@@ -43,8 +42,6 @@ pub const fn excited(joints: usize) -> usize {
 /// Capacity of one direction of a link, as its transport gives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkCapacity {
-    /// Largest frame of telemetry, bytes; other frames are not divided.
-    pub mtu: usize,
     /// Bytes a second; 0 has no limit.
     pub bytes_s: u32,
 }
@@ -57,10 +54,7 @@ impl LinkCapacity {
 
     /// A stream of `bytes_s` bytes a second, which carries every frame of the protocol.
     pub const fn stream(bytes_s: u32) -> Self {
-        Self {
-            mtu: MAX_FRAME,
-            bytes_s,
-        }
+        Self { bytes_s }
     }
 
     /// Bytes of one period; 0 has no limit.

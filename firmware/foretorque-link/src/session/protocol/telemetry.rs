@@ -25,9 +25,8 @@ pub(in crate::session) struct Instant<'t, const N: usize> {
 pub(in crate::session) struct Stream {
     fields: u16,
     every: u16,
-    /// Bytes that may be sent in one tick, and in one frame.
+    /// Bytes that may be sent in one tick.
     allowance: usize,
-    mtu: usize,
     tick: u32,
     /// Fields of the record that are not sent yet; their bytes are at the end of it.
     unsent: u16,
@@ -43,7 +42,6 @@ impl Stream {
             fields: 0,
             every: 1,
             allowance: 0,
-            mtu: 0,
             tick: 0,
             unsent: 0,
             record: Vec::new(),
@@ -72,7 +70,7 @@ impl Stream {
 
     /// Starts the stream of `fields`; no fields end it.
     ///
-    /// * `allowance` bytes of telemetry that the link carries in one tick      * `mtu` bytes of one frame
+    /// * `allowance` bytes of telemetry that the link carries in one tick
     ///
     /// Errors: [`NackReason::Bandwidth`] where a record is not sent before the next one is due.
     pub(in crate::session) fn begin<const N: usize>(
@@ -80,18 +78,16 @@ impl Stream {
         fields: u16,
         every: u16,
         allowance: usize,
-        mtu: usize,
     ) -> Result<(), NackReason> {
         let fields = fields & ((1 << Field::ALL.len()) - 1);
         if fields != 0 {
-            let needed = ticks_needed(fields, N, allowance, mtu);
+            let needed = ticks_needed(fields, N, allowance);
             if needed == 0 || needed > every {
                 return Err(NackReason::Bandwidth { every: needed });
             }
         }
         self.end();
-        (self.fields, self.every) = (fields, every);
-        (self.allowance, self.mtu) = (allowance, mtu);
+        (self.fields, self.every, self.allowance) = (fields, every, allowance);
         Ok(())
     }
 
@@ -123,7 +119,7 @@ impl Stream {
 
     /// The next frame of the record, at most `left` bytes on the wire.
     fn next(&mut self, joints: usize, left: usize) -> Option<TelemetryFrame> {
-        let (fields, content) = fitting(self.unsent, joints, left.min(self.mtu));
+        let (fields, content) = fitting(self.unsent, joints, left);
         if fields == 0 {
             return None;
         }
@@ -158,11 +154,11 @@ fn fitting(wanted: u16, joints: usize, left: usize) -> (u16, usize) {
 }
 
 /// Ticks that a record of `fields` takes to send; 0 when it never ends.
-fn ticks_needed(mut fields: u16, joints: usize, allowance: usize, mtu: usize) -> u16 {
+fn ticks_needed(mut fields: u16, joints: usize, allowance: usize) -> u16 {
     for ticks in 1..=Field::ALL.len() as u16 {
         let mut left = allowance;
         loop {
-            let (sent, content) = fitting(fields, joints, left.min(mtu));
+            let (sent, content) = fitting(fields, joints, left);
             if sent == 0 {
                 break;
             }

@@ -95,7 +95,7 @@ fn nothing_is_written_while_torque_flows_or_learning_is_on() {
         let bank = uploaded();
         let before = board.read();
         let refused = nack(reason);
-        assert_eq!(board.commit(&bank), refused);
+        assert_eq!(board.commit(&bank, None), refused);
         for message in [
             write(&bank, 0),
             HostMessage::Save,
@@ -151,15 +151,11 @@ fn a_board_that_restarted_itself_waits_for_clear_fault() {
         (ResetReason::Software, Stopped, Stopped),
         (ResetReason::PowerOn, None, None),
     ] {
-        let mut board = Board::described(BoardDescription {
-            reset_reason,
-            kept_fault,
-            ..BoardDescription::plain(NoClock)
+        let mut board = Board::with(|board| {
+            (board.reset_reason, board.kept_fault) = (reset_reason, kept_fault);
         });
         assert_eq!(board.session.latched_fault(), first);
-        for _ in 0..ARM_SAMPLES {
-            board.sample(0);
-        }
+        board.samples_to_arm();
         let reply = if first == None { ACK } else { no_torque(first) };
         assert_eq!(board.request(HostMessage::Arm), reply);
     }
@@ -278,23 +274,10 @@ fn m6_a_clock_too_slow_for_the_period_is_reported_and_refuses_to_arm() {
         shortest_period_us: 10_500,
         ..ChipStatus::VIRTUAL
     };
-    let mut board = Board::described(BoardDescription {
-        chip,
-        ..BoardDescription::plain(NoClock)
-    });
-    let BoardMessage::Hello(hello) = board.request(HostMessage::Hello) else {
-        panic!("no hello");
-    };
-    assert_eq!(hello.chip, chip);
-    let period = |period_us| {
-        HostMessage::Configure(Configuration {
-            period_us,
-            ..Configuration::default()
-        })
-    };
+    let mut board = Board::with(|board| board.chip = chip);
+    assert_eq!(board.hello().chip, chip);
     let refused = nack(NackReason::Period);
-    let samples = |board: &mut Board| (0..ARM_SAMPLES).for_each(|_| _ = board.sample(0));
-    samples(&mut board);
+    board.samples_to_arm();
     assert_eq!(board.request(HostMessage::Arm), refused);
     for (period_us, reply) in [
         (1000, &refused),
@@ -302,10 +285,10 @@ fn m6_a_clock_too_slow_for_the_period_is_reported_and_refuses_to_arm() {
         (10_500, &ACK),
         (20_001, &refused),
     ] {
-        assert_eq!(board.request(period(period_us)), *reply, "{period_us}");
+        let configured = board.request(configure(|wanted| wanted.period_us = period_us));
+        assert_eq!(configured, *reply, "{period_us}");
     }
-    samples(&mut board);
-    board.acknowledged(HostMessage::Arm);
+    board.arm();
 }
 
 #[test]
@@ -315,20 +298,13 @@ fn m7_a_board_with_a_damaged_program_cannot_be_armed() {
         (ImageStatus::Sound, SafetyReason::None),
         (ImageStatus::Damaged, SafetyReason::Image),
     ] {
-        let chip = ChipStatus {
-            image,
-            ..ChipStatus::VIRTUAL
-        };
-        let mut board = Board::described(BoardDescription {
-            chip,
-            ..BoardDescription::plain(NoClock)
-        });
+        let mut board = Board::with(|board| board.chip.image = image);
         assert_eq!(board.session.safety().reason, reason);
         let reply = match reason {
             SafetyReason::None => ACK,
             reason => no_torque(reason),
         };
-        (0..ARM_SAMPLES).for_each(|_| _ = board.sample(0));
+        board.samples_to_arm();
         assert_eq!(board.request(HostMessage::ClearFault), reply);
         assert_eq!(board.request(HostMessage::Arm), reply);
         assert_eq!(board.session.latched_fault(), reason);

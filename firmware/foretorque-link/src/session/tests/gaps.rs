@@ -218,10 +218,8 @@ impl Timeline {
 
     pub(super) fn braked(pacing: Pacing, brake_close_ms: u16, seed: u32) -> Self {
         let mut board = Board::new();
-        board.acknowledged(HostMessage::Configure(Configuration {
-            pacing,
-            brake_close_ms,
-            ..Configuration::default()
+        board.acknowledged(configure(|wanted| {
+            (wanted.pacing, wanted.brake_close_ms) = (pacing, brake_close_ms);
         }));
         let close_us = 1000 * u32::from(brake_close_ms);
         let limits = SafetyLimits::for_arm::<Ur5, P>(1000).with_brake(close_us, 1000);

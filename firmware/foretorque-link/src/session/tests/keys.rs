@@ -4,11 +4,8 @@ use crate::excitation::{
     ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, JointSeries,
     MotionBounds,
 };
-use crate::wire::MAC_BYTES;
 use crate::write_key::WriteKey;
 use foretorque::feedforward::evaluate;
-
-type Mac = [u8; MAC_BYTES];
 
 const REFUSED: BoardMessage<N> = nack(NackReason::Key);
 
@@ -22,11 +19,7 @@ fn signature(byte: u8, nonce: &Mac, upload: &[u8]) -> Option<Mac> {
 
 /// A board with key 3.
 fn locked(seed: u8) -> Board {
-    Board::described(BoardDescription {
-        write_key: Some(key(3)),
-        seed: Some([seed; MAC_BYTES]),
-        ..BoardDescription::plain(NoClock)
-    })
+    Board::with(|board| (board.write_key, board.seed) = (Some(key(3)), Some([seed; MAC_BYTES])))
 }
 
 impl Board {
@@ -35,12 +28,6 @@ impl Board {
             BoardMessage::Challenge { nonce } => nonce,
             other => panic!("{other:?}"),
         }
-    }
-
-    fn upload(&mut self, bank: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
-        self.write(bank);
-        let (length, crc) = (bank.len() as u16, CRC.checksum(bank));
-        self.request(HostMessage::BankCommit { length, crc, mac })
     }
 
     fn upload_excitation(&mut self, program: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
@@ -54,10 +41,8 @@ impl Board {
 fn a_board_with_a_key_reports_it_and_accepts_a_signed_bank() {
     let mut board = locked(1);
     let bank = uploaded();
-    let BoardMessage::Hello(hello) = board.request(HostMessage::Hello) else {
-        panic!("no hello");
-    };
-    assert!(hello.capabilities.contains(Capabilities::WRITE_KEY));
+    let capabilities = board.hello().capabilities;
+    assert!(capabilities.contains(Capabilities::WRITE_KEY));
     let nonce = board.challenge();
     assert_eq!(board.upload(&bank, signature(3, &nonce, &bank)), ACK);
     assert_eq!(board.read(), bank);
@@ -266,11 +251,7 @@ fn a_permission_cannot_be_replayed_and_an_upload_serves_no_order() {
 
 #[test]
 fn without_randomness_there_is_no_challenge() {
-    let mut board = Board::described(BoardDescription {
-        write_key: Some(key(3)),
-        seed: None,
-        ..BoardDescription::plain(NoClock)
-    });
+    let mut board = Board::with(|board| (board.write_key, board.seed) = (Some(key(3)), None));
     let refused = nack(NackReason::NotCapable);
     assert_eq!(board.request(HostMessage::Challenge), refused);
 }

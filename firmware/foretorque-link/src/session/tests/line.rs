@@ -1,6 +1,6 @@
 use super::*;
 use crate::wire::size::{self, LinkCapacity};
-use crate::wire::{Field, TelemetryFrame, encode_as};
+use crate::wire::{Field, MAX_FRAME, TelemetryFrame, encode_as};
 use foretorque::feedforward::{FeedForwardScratch, step};
 use proptest::prelude::*;
 
@@ -107,7 +107,7 @@ proptest! {
                 0 => HostMessage::BankRead { source: BankSource::Live, offset },
                 1 => HostMessage::BankCommit { length: offset, crc, mac: None },
                 2 => HostMessage::BankWrite { offset, bytes: [kind; 9].into_iter().collect() },
-                3 => HostMessage::Configure(Configuration { period_us: crc, ..Configuration::default() }),
+                3 => configure(|wanted| wanted.period_us = crc),
                 4 => HostMessage::Learning { on: crc % 2 == 0 },
                 5 => HostMessage::Reset,
                 6 => HostMessage::Evaluate((&JointMotion {
@@ -133,10 +133,7 @@ const ALL: u16 = (1 << Field::ALL.len()) - 1;
 const LINE: LinkCapacity = LinkCapacity::stream(200_000);
 
 fn connected(link: LinkCapacity) -> Board {
-    Board::described(BoardDescription {
-        link,
-        ..BoardDescription::plain(NoClock)
-    })
+    Board::with(|board| board.link = link)
 }
 
 /// Telemetry of `ticks` ticks, and the most bytes in one of them.
@@ -173,8 +170,7 @@ fn refused(link: LinkCapacity, fields: u16, every: u16) -> u16 {
 
 #[test]
 fn every_field_of_a_record_arrives_with_its_tick() {
-    let narrow = LinkCapacity { mtu: 64, ..LINE };
-    for link in [LINE, narrow, LinkCapacity::UNLIMITED] {
+    for link in [LINE, LinkCapacity::UNLIMITED] {
         let (frames, _) = streamed(link, ALL, 10, 200);
         for tick in (0..200).step_by(10) {
             let of_tick = frames.iter().filter(|frame| frame.tick == tick);
@@ -185,7 +181,7 @@ fn every_field_of_a_record_arrives_with_its_tick() {
         }
         assert!(frames.iter().all(|frame| frame.tick.is_multiple_of(10)));
         let size = |frame: &TelemetryFrame| size::telemetry(frame.bytes.len());
-        assert!(frames.iter().all(|frame| size(frame) <= link.mtu));
+        assert!(frames.iter().all(|frame| size(frame) <= MAX_FRAME));
     }
 }
 

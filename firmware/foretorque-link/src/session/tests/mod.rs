@@ -13,8 +13,9 @@ use crate::bank::{NETWORK_SEED, ParameterBank};
 use crate::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyState};
 use crate::telemetry::Statistics;
 use crate::wire::{
-    BankSource, CHUNK, CRC, Capabilities, ChipStatus, ClockSource, Decoder, HostMessage,
-    ImageStatus, NackReason, Pacing, ResetReason, SampleFrame, TorqueFrame, encode,
+    BankSource, BoardHello, CHUNK, CRC, Capabilities, ChipStatus, ClockSource, Decoder,
+    HostMessage, ImageStatus, MAC_BYTES, NackReason, Pacing, ResetReason, SampleFrame, TorqueFrame,
+    encode,
 };
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::FeedForwardConfig;
@@ -37,6 +38,7 @@ const fn no_torque(reason: SafetyReason) -> BoardMessage<N> {
     nack(NackReason::Unsafe(reason))
 }
 
+type Mac = [u8; MAC_BYTES];
 pub(crate) type Replies = Vec<(u16, BoardMessage<N>)>;
 
 /// A session with its mailboxes and learner.
@@ -50,12 +52,13 @@ pub(crate) struct Board {
 
 impl Board {
     pub(crate) fn new() -> Self {
-        let mut description = BoardDescription::plain(NoClock);
-        description.capabilities = Capabilities::LEARNING | Capabilities::TIMER;
-        Self::described(description)
+        Self::with(|board| board.capabilities = Capabilities::LEARNING | Capabilities::TIMER)
     }
 
-    pub(crate) fn described(description: BoardDescription) -> Self {
+    /// A plain board, but for `change`.
+    fn with(change: impl FnOnce(&mut BoardDescription)) -> Self {
+        let mut description = BoardDescription::plain(NoClock);
+        change(&mut description);
         let session = Session::new(description).unwrap();
         let set = session.feed_forward().state().active;
         Self {
@@ -125,15 +128,27 @@ impl Board {
         assert_eq!(self.request(message), ACK);
     }
 
+    fn hello(&mut self) -> BoardHello {
+        match self.request(HostMessage::Hello) {
+            BoardMessage::Hello(hello) => hello,
+            other => panic!("{other:?}"),
+        }
+    }
+
     fn sample(&mut self, k: u32) -> TorqueFrame<N> {
         torque(&self.request(sample_message(k)))
     }
 
-    /// Samples until the board can be armed, then arms it.
-    fn arm(&mut self) {
+    /// As many samples as arming takes.
+    fn samples_to_arm(&mut self) {
         for _ in 0..ARM_SAMPLES {
             assert_eq!(self.sample(0).total, [0.0; N]);
         }
+    }
+
+    /// Samples until the board can be armed, then arms it.
+    fn arm(&mut self) {
+        self.samples_to_arm();
         self.acknowledged(HostMessage::Arm);
     }
 
@@ -148,10 +163,7 @@ impl Board {
     }
 
     pub(crate) fn pace(&mut self, pacing: Pacing) {
-        self.acknowledged(HostMessage::Configure(Configuration {
-            pacing,
-            ..Configuration::default()
-        }));
+        self.acknowledged(configure(|wanted| wanted.pacing = pacing));
     }
 
     fn learn(&mut self) {
@@ -191,13 +203,22 @@ impl Board {
         }
     }
 
-    fn commit(&mut self, bank: &[u8]) -> BoardMessage<N> {
-        self.request(HostMessage::BankCommit {
-            length: bank.len() as u16,
-            crc: CRC.checksum(bank),
-            mac: None,
-        })
+    fn commit(&mut self, bank: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
+        let (length, crc) = (bank.len() as u16, CRC.checksum(bank));
+        self.request(HostMessage::BankCommit { length, crc, mac })
     }
+
+    fn upload(&mut self, bank: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
+        self.write(bank);
+        self.commit(bank, mac)
+    }
+}
+
+/// The default configuration, but for `change`.
+fn configure(change: impl FnOnce(&mut Configuration)) -> HostMessage<N> {
+    let mut wanted = Configuration::default();
+    change(&mut wanted);
+    HostMessage::Configure(wanted)
 }
 
 /// Chunk `place` of an upload.

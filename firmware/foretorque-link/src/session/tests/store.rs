@@ -58,10 +58,9 @@ fn storing() -> (Board, Rc<Cell<bool>>) {
 }
 
 pub(super) fn storing_with(write_key: Option<WriteKey>) -> (Board, Rc<Cell<bool>>) {
-    let mut board = Board::described(BoardDescription {
-        capabilities: Capabilities::LEARNING | Capabilities::STORE,
-        write_key,
-        ..BoardDescription::plain(NoClock)
+    let mut board = Board::with(|board| {
+        board.capabilities = Capabilities::LEARNING | Capabilities::STORE;
+        board.write_key = write_key;
     });
     let flash = Flash::blank();
     let worn = flash.1.clone();
@@ -73,12 +72,11 @@ pub(super) fn storing_with(write_key: Option<WriteKey>) -> (Board, Rc<Cell<bool>
 fn a_set_is_saved_and_restored_on_request() {
     let (mut board, _) = storing();
     let bank = uploaded();
-    board.write(&bank);
-    assert_eq!(board.commit(&bank), ACK);
-    assert_eq!(board.request(HostMessage::Save), ACK);
+    assert_eq!(board.upload(&bank, None), ACK);
+    board.acknowledged(HostMessage::Save);
     board.acknowledged(HostMessage::Reset);
     assert_ne!(board.read(), bank);
-    assert_eq!(board.request(HostMessage::Restore), ACK);
+    board.acknowledged(HostMessage::Restore);
     assert_eq!(board.read(), bank);
 }
 
@@ -166,9 +164,7 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
 #[test]
 fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing() {
     let (mut board, _) = storing();
-    for _ in 0..ARM_SAMPLES {
-        board.sample(0);
-    }
+    board.samples_to_arm();
     let started = |message: HostMessage<N>, board: &mut Board| {
         let frame = board.numbered(&message);
         let Board {
@@ -215,10 +211,9 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
 #[test]
 fn m4_saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
     let board = |reset_reason| {
-        let mut board = Board::described(BoardDescription {
-            capabilities: Capabilities::STORE | Capabilities::TIMER,
-            reset_reason,
-            ..BoardDescription::plain(NoClock)
+        let mut board = Board::with(|board| {
+            board.capabilities = Capabilities::STORE | Capabilities::TIMER;
+            board.reset_reason = reset_reason;
         });
         board.housekeeping.start(Some(Store::new(Flash::blank())));
         board
@@ -240,9 +235,8 @@ fn m4_saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
 fn an_upload_is_in_force_for_tick_fallback_and_learner() {
     let mut board = Board::new();
     let bank = uploaded();
-    board.write(&bank);
     let before = board.session.feed_forward().state().active;
-    assert_eq!(board.commit(&bank), ACK);
+    assert_eq!(board.upload(&bank, None), ACK);
     let state = *board.session.feed_forward().state();
     assert_ne!(state.active, before);
     assert_eq!(state.committed, state.active);
@@ -258,11 +252,10 @@ fn an_interrupted_upload_changes_nothing_and_can_begin_anew() {
     let mut board = Board::new();
     let (before, bank) = (board.read(), uploaded());
     board.write(&bank[..3 * CHUNK]);
-    assert_eq!(board.commit(&bank), nack(NackReason::Checksum));
+    assert_eq!(board.commit(&bank, None), nack(NackReason::Checksum));
     assert_eq!(board.read(), before);
     board.write(&bank[..5 * CHUNK]);
-    board.write(&bank);
-    assert_eq!(board.commit(&bank), ACK);
+    assert_eq!(board.upload(&bank, None), ACK);
     assert_eq!(board.read(), bank);
 }
 
@@ -283,9 +276,8 @@ fn a_damaged_or_endless_bank_is_refused() {
     let before = board.read();
     let mut bank = uploaded();
     bank[40] ^= 1;
-    board.write(&bank);
     let refused = nack(NackReason::Bank(BankError::Checksum));
-    assert_eq!(board.commit(&bank), refused);
+    assert_eq!(board.upload(&bank, None), refused);
     // A sound bank, but not the one that was announced: other length, other checksum.
     let announced = |length: usize, crc| HostMessage::BankCommit {
         length: length as u16,
@@ -305,7 +297,7 @@ fn a_damaged_or_endless_bank_is_refused() {
     assert_eq!(beyond, nack(NackReason::TooLong));
     assert_eq!(board.read(), before);
     // What was read is no upload.
-    assert_eq!(board.commit(&before), nack(NackReason::Checksum));
+    assert_eq!(board.commit(&before, None), nack(NackReason::Checksum));
 }
 
 #[test]
@@ -317,8 +309,7 @@ fn the_deviations_of_a_bank_reach_the_learner() {
         let mut buffer = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut buffer).unwrap();
         let mut board = Board::new();
-        board.write(bytes);
-        assert_eq!(board.commit(bytes), ACK);
+        assert_eq!(board.upload(bytes, None), ACK);
         board.sample(0);
         board.learn();
         board.learner.state().estimate.filter().diagonal().friction[2][1]

@@ -105,10 +105,7 @@ fn counters_count_and_a_reset_clears_them() {
         ..Board::new().statistics()
     };
     assert_eq!(board.statistics(), cleared);
-    let BoardMessage::Hello(hello) = board.request(HostMessage::Hello) else {
-        panic!("no hello");
-    };
-    assert_eq!(hello.boot_counts, 77);
+    assert_eq!(board.hello().boot_counts, 77);
 }
 
 #[test]
@@ -130,10 +127,7 @@ fn the_timer_runs_no_tick_where_samples_pace() {
 #[test]
 fn every_constant_follows_the_period() {
     let mut board = Board::new();
-    board.acknowledged(HostMessage::Configure(Configuration {
-        period_us: 4000,
-        ..Configuration::default()
-    }));
+    board.acknowledged(configure(|wanted| wanted.period_us = 4000));
     let bank = ParameterBank::nominal::<Ur5, N, P>();
     let wanted = bank.feed_forward_config::<Ur5, N, P>(4e-3).unwrap();
     assert_eq!(*board.session.feed_forward().config(), wanted);

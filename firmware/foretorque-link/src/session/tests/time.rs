@@ -152,9 +152,7 @@ fn m11_the_temperatures_of_all_joints_arrive_between_commands() {
 
 #[test]
 fn a_reboot_waits_for_the_end_of_the_torque() {
-    let mut description = BoardDescription::plain(NoClock);
-    description.capabilities = Capabilities::REBOOT;
-    let mut board = Board::described(description);
+    let mut board = Board::with(|board| board.capabilities = Capabilities::REBOOT);
     board.arm();
     assert_eq!(board.request(HostMessage::Reboot), nack(NackReason::Armed));
     assert!(!board.session.reboot_wanted());
