@@ -32,3 +32,9 @@ pub mod store;
 pub mod telemetry;
 pub mod wire;
 pub mod write_key;
+
+/// Copies as many entries as both have; `copy_from_slice` can panic.
+#[inline(always)]
+fn copy<T: Copy>(to: &mut [T], from: &[T]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+}

@@ -1,4 +1,5 @@
 use super::{BankError, JointBounds, MAX_COLUMNS, NETWORK_SEED, ParameterBank};
+use crate::copy;
 use core::fmt;
 use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn, Pose, friction_under, rnea_of};
@@ -201,9 +202,7 @@ impl ParameterBank {
         self.feed_forward_config::<A, N, P>(1e-3)?;
         plausible::<A, N, P>(&set)?;
         let mut bounds = [JointBounds::ZERO; N];
-        for (bounds, given) in bounds.iter_mut().zip(&self.limits) {
-            *bounds = *given;
-        }
+        copy(&mut bounds, &self.limits);
         Ok(Parameters {
             set,
             start: self.start_deviations::<A, N, P>(),

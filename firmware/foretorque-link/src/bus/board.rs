@@ -4,6 +4,7 @@ use super::FaultCause;
 use super::config::{BusJoint, periods};
 use super::drives::{BusDrives, BusPhase};
 use super::joint::JointLink;
+use crate::copy;
 use crate::drives::{DriveState, Frame, Request};
 use crate::safety::{COMMAND_TIMEOUT_US, SafetyReason, SafetyState};
 use crate::session::{Clock, LocalSensor, Session};
@@ -91,9 +92,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
     pub fn new(wiring: &Wiring<N>) -> Self {
         const PERIOD_US: u32 = 1000;
         let mut joints = [None; N];
-        for (slot, joint) in joints.iter_mut().zip(&wiring.joints) {
-            *slot = *joint;
-        }
+        copy(&mut joints, &wiring.joints);
         Self {
             side: match wiring.role {
                 Role::Master => {

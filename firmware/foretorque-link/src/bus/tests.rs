@@ -40,6 +40,10 @@ fn config() -> BusConfig<6> {
     }
 }
 
+fn controller(config: BusConfig<6>) -> Result<Controller, BusConfigError> {
+    Controller::new(config, ParameterSet::nominal::<Ur5>(1))
+}
+
 /// Drives that stand where they are told, with a switch for each.
 struct Drives {
     config: BusConfig<6>,
@@ -119,12 +123,18 @@ impl Drives {
         tick
     }
 
+    /// So many periods at rest; the last one.
+    fn rest(&mut self, controller: &mut Controller, periods: u32) -> BusTick<6> {
+        let rest = JointMotion::zero();
+        let ticks = (0..periods).map(|_| self.period(controller, Some(&rest), |_, _| true));
+        ticks.last().unwrap()
+    }
+
     /// Runs until the drives follow.
     fn started(&mut self) -> Controller {
-        let mut controller = Controller::new(config(), ParameterSet::nominal::<Ur5>(1)).unwrap();
-        let rest = JointMotion::zero();
+        let mut controller = controller(config()).unwrap();
         for _ in 0..40 {
-            self.period(&mut controller, Some(&rest), |_, _| true);
+            self.rest(&mut controller, 1);
             let _ = controller.arm();
         }
         let running = matches!(controller.drives().phase(), BusPhase::Running(_));
@@ -136,22 +146,15 @@ impl Drives {
 #[test]
 fn arms_after_the_scales_and_sends_torque_and_ramped_gains() {
     let mut drives = Drives::new();
-    let mut controller = Controller::new(config(), ParameterSet::nominal::<Ur5>(1)).unwrap();
-    let rest = JointMotion::zero();
+    let mut controller = controller(config()).unwrap();
     let refusal = controller.arm().unwrap_err();
     assert_eq!(refusal.cause, FaultCause::Silent);
-    for _ in 0..3 {
-        drives.period(&mut controller, Some(&rest), |_, _| true);
-    }
+    drives.rest(&mut controller, 3);
     let refusal = controller.arm().unwrap_err();
     let unknown = matches!(refusal.cause, FaultCause::ScaleUnknown(_));
     assert!(unknown, "{refusal}");
     let mut controller = drives.started();
-    let mut last = None;
-    for _ in 0..100 {
-        last = Some(drives.period(&mut controller, Some(&rest), |_, _| true));
-    }
-    let tick = last.unwrap();
+    let tick = drives.rest(&mut controller, 100);
     assert_eq!(tick.status.state, SafetyState::Armed);
     assert!(tick.measured.is_some());
     let total = tick.torque.total;
@@ -164,10 +167,8 @@ fn arms_after_the_scales_and_sends_torque_and_ramped_gains() {
     for _ in 0..600 {
         drives.period(&mut controller, None, |_, _| true);
     }
-    assert_eq!(
-        (controller.drives().phase(), drives.on),
-        (BusPhase::Off, [false; 6])
-    );
+    let phase = controller.drives().phase();
+    assert_eq!((phase, drives.on), (BusPhase::Off, [false; 6]));
     assert!(controller.drives().fault().is_none());
 }
 
@@ -225,23 +226,15 @@ fn a_scale_that_differs_and_a_bus_that_is_off_end_the_torque() {
     let joint = config().joints[1];
     joint.drive.reply_scale(Scale::Torque, 20.0, &mut frames);
     controller.receive(0, &frames[0]);
-    drives.period(&mut controller, Some(&JointMotion::zero()), |_, _| true);
-    let fault = controller
-        .drives()
-        .fault()
-        .expect("the scale differs")
-        .to_string();
-    assert_eq!(
-        fault,
-        "joint 2: scale of torque is 200 in the profile, 20 in the drive"
-    );
+    drives.rest(&mut controller, 1);
+    let fault = controller.drives().fault().unwrap().to_string();
+    let differs = "joint 2: scale of torque is 200 in the profile, 20 in the drive";
+    assert_eq!(fault, differs);
     let mut controller = drives.started();
     controller.bus_off();
     assert_eq!(controller.status().state, SafetyState::RampDown);
-    assert_eq!(
-        controller.drives().fault().unwrap().to_string(),
-        "the bus is off"
-    );
+    let fault = controller.drives().fault().unwrap().to_string();
+    assert_eq!(fault, "the bus is off");
 }
 
 #[test]
@@ -302,8 +295,7 @@ fn contradictions_name_joint_field_and_both_values() {
     for (named, spoil) in refusals.into_iter().zip(spoils) {
         let mut config = config();
         spoil(&mut config);
-        let refused = Controller::new(config, ParameterSet::nominal::<Ur5>(1));
-        let message = refused.err().expect(named).to_string();
+        let message = controller(config).err().expect(named).to_string();
         assert!(message.starts_with(named), "{message}");
     }
 }

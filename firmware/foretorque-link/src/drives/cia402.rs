@@ -11,7 +11,7 @@
 //! Torques are in thousandths of the rated torque (6076h). The same bytes are the process data of EtherCAT; the stack that
 //! configures the mapping is the user's. Source: CiA 402-2; Beckhoff's object pages of AX8000 and AMP8000.
 
-use super::frame::{carried, nearest};
+use super::frame::{carried, join, nearest};
 use super::{
     Cia402, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply,
     Order, Outgoing, Request, Saturation, Scale, TURN, push,
@@ -66,9 +66,8 @@ impl Codec<'_> {
         push(out.frames, self.output(ENABLED, nearest(target), torque));
     }
 
-    fn sdo(&self, [c, i0, i1, s]: [u8; 4], value: u32) -> Frame {
-        let [v0, v1, v2, v3] = value.to_le_bytes();
-        self.frame(0x600, &[c, i0, i1, s, v0, v1, v2, v3])
+    fn sdo(&self, command: [u8; 4], value: u32) -> Frame {
+        self.frame(0x600, &join(command, value.to_le_bytes()))
     }
 
     pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
@@ -186,9 +185,10 @@ impl Codec<'_> {
     }
 
     pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
-        let ([c, i0, i1, s], millis) = (RATED, (value * 1e3) as u32);
-        let [v0, v1, v2, v3] = millis.to_le_bytes();
-        let bytes = [c, i0, i1, s, v0, v1, v2, v3];
-        push(frames, self.frame(0x580, &bytes));
+        let millis = (value * 1e3) as u32;
+        push(
+            frames,
+            self.frame(0x580, &join(RATED, millis.to_le_bytes())),
+        );
     }
 }

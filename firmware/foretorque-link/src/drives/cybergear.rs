@@ -4,7 +4,7 @@
 //! in the eight bytes, big endian. A reply (kind 2) has state and faults in the identifier. Sources: CyberGear manual
 //! 4.1; RobStride manual, private protocol. The manual's position range is ±4π, its sample code's ±12.5 rad.
 
-use super::frame::{carried, centred, code_of, from_centred, nearest};
+use super::frame::{carried, centred, code_of, from_centred, join, nearest};
 use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Outgoing,
     Ranges, Request, Scale, push,
@@ -32,14 +32,16 @@ fn send(kind: u32, data: u16, target: u16, bytes: [u8; 8], frames: &mut Frames) 
 }
 
 /// Eight bytes of four numbers.
-fn pack([a, b, c, d]: [u16; 4]) -> [u8; 8] {
-    let ([a0, a1], [b0, b1]) = (a.to_be_bytes(), b.to_be_bytes());
-    let ([c0, c1], [d0, d1]) = (c.to_be_bytes(), d.to_be_bytes());
-    [a0, a1, b0, b1, c0, c1, d0, d1]
+fn pack(codes: [u16; 4]) -> [u8; 8] {
+    let bits = codes
+        .into_iter()
+        .fold(0_u64, |bits, code| bits << 16 | u64::from(code));
+    bits.to_be_bytes()
 }
 
-fn unpack([a0, a1, b0, b1, c0, c1, d0, d1]: [u8; 8]) -> [u16; 4] {
-    [[a0, a1], [b0, b1], [c0, c1], [d0, d1]].map(u16::from_be_bytes)
+fn unpack(data: [u8; 8]) -> [u16; 4] {
+    let bits = u64::from_be_bytes(data);
+    [48, 32, 16, 0].map(|place| (bits >> place) as u16)
 }
 
 /// Codec of one drive.
@@ -173,8 +175,8 @@ impl Codec<'_> {
     }
 
     pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
-        let ([low, high], [v0, v1, v2, v3]) = (TORQUE_LIMIT.to_le_bytes(), value.to_le_bytes());
-        let bytes = [low, high, 0, 0, v0, v1, v2, v3];
+        let [low, high] = TORQUE_LIMIT.to_le_bytes();
+        let bytes = join([low, high, 0, 0], value.to_le_bytes());
         send(kind::READ, self.drive.id, self.drive.host_id, bytes, frames);
     }
 }

@@ -1,6 +1,7 @@
 //! CAN frames, classic and FD, and the packed integers in them: scaling, saturation, rounding error.
 
 use super::{JointCommand, Ranges};
+use crate::copy;
 use core::fmt;
 
 /// One CAN frame, classic (at most 8 bytes) or FD (at most 64).
@@ -65,9 +66,7 @@ impl Frame {
 
     fn new(id: u32, extended: bool, bytes: &[u8]) -> Self {
         let mut data = [0; Self::CAPACITY];
-        data.iter_mut()
-            .zip(bytes)
-            .for_each(|(to, from)| *to = *from);
+        copy(&mut data, bytes);
         Self {
             id,
             extended,
@@ -204,17 +203,22 @@ pub(super) fn code_of(value: Option<f32>, scale: f32, steps: u16) -> u16 {
     nearest(centred(value.unwrap_or_default(), scale, steps)).clamp(0, steps.into()) as u16
 }
 
-/// Eight bytes of two numbers, little endian.
-pub(super) fn pair(first: f32, second: f32) -> [u8; 8] {
-    let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (first.to_le_bytes(), second.to_le_bytes());
+/// Eight bytes of two halves.
+pub(super) fn join([a0, a1, a2, a3]: [u8; 4], [b0, b1, b2, b3]: [u8; 4]) -> [u8; 8] {
     [a0, a1, a2, a3, b0, b1, b2, b3]
 }
 
+/// Eight bytes of two numbers, little endian.
+pub(super) fn pair(first: f32, second: f32) -> [u8; 8] {
+    join(first.to_le_bytes(), second.to_le_bytes())
+}
+
 /// The two numbers of eight bytes, little endian.
-pub(super) fn unpair([a0, a1, a2, a3, b0, b1, b2, b3]: [u8; 8]) -> (f32, f32) {
+pub(super) fn unpair(data: [u8; 8]) -> (f32, f32) {
+    let bits = u64::from_le_bytes(data);
     (
-        f32::from_le_bytes([a0, a1, a2, a3]),
-        f32::from_le_bytes([b0, b1, b2, b3]),
+        f32::from_bits(bits as u32),
+        f32::from_bits((bits >> 32) as u32),
     )
 }
 

@@ -9,7 +9,7 @@
 //!
 //! Sources: bgkatz/motorcontrol `can.cpp`; Damiao's DM-J manual.
 
-use super::frame::{carried, centred, code_of, from_centred, nearest};
+use super::frame::{carried, centred, code_of, from_centred, join, nearest};
 use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Outgoing,
     Ranges, Request, Saturation, Scale, push,
@@ -43,37 +43,34 @@ impl Codec<'_> {
         let t = coarse(command.torque, ranges.torque, &mut out.carry.torque);
         let kp = nearest(command.kp * f32::from(COARSE) / ranges.kp) as u16;
         let kd = nearest(command.kd * f32::from(COARSE) / ranges.kd) as u16;
-        let mut data = pack(p, v, kp, kd, t);
+        let mut data = pack([p, v, kp, kd, t]);
         if data.starts_with(&PREFIX) {
             // Seven bytes of 0xff are the prefix of an order.
             out.flags.insert(Saturation::POSITION);
-            data = pack(p.saturating_sub(1), v, kp, kd, t);
+            data = pack([p.saturating_sub(1), v, kp, kd, t]);
         }
         push(out.frames, Frame::standard(self.drive.id.into(), &data));
     }
 
     pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
-        let last = match (order, self.damiao) {
-            (Order::Enable, _) => 0xfc,
-            (Order::Disable, _) => 0xfd,
-            (Order::SetZero, _) => 0xfe,
-            (Order::ClearFault, true) => 0xfb,
-            (Order::ReadScale(scale), true) => {
-                let [low, high] = self.drive.id.to_le_bytes();
-                let data = [low, high, READ, register(scale), 0, 0, 0, 0];
-                push(frames, Frame::standard(REGISTERS, &data));
-                return true;
-            }
-            (Order::Report, true) => {
-                let [low, high] = self.drive.id.to_le_bytes();
-                let data = [low, high, 0xcc, 0, 0, 0, 0, 0];
-                push(frames, Frame::standard(REGISTERS, &data));
-                return true;
-            }
+        let [low, high] = self.drive.id.to_le_bytes();
+        let registers = |kind, index| (REGISTERS, join([low, high, kind, index], [0; 4]));
+        let own = |last| {
+            (
+                self.drive.id.into(),
+                join([0xff; 4], [0xff, 0xff, 0xff, last]),
+            )
+        };
+        let (id, data) = match (order, self.damiao) {
+            (Order::Enable, _) => own(0xfc),
+            (Order::Disable, _) => own(0xfd),
+            (Order::SetZero, _) => own(0xfe),
+            (Order::ClearFault, true) => own(0xfb),
+            (Order::ReadScale(scale), true) => registers(READ, register(scale)),
+            (Order::Report, true) => registers(0xcc, 0),
             (Order::ClearFault | Order::ReadScale(_) | Order::Report, false) => return false,
         };
-        let data = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, last];
-        push(frames, Frame::standard(self.drive.id.into(), &data));
+        push(frames, Frame::standard(id, &data));
         true
     }
 
@@ -85,7 +82,7 @@ impl Codec<'_> {
         if !self.damiao {
             let (&[id, p0, p1, v, vt, t], _) = frame.bytes().split_first_chunk()?;
             let own = u16::from(id) == self.drive.id;
-            return own.then(|| Event::Reply(measured(ranges, [p0, p1, v, vt, t])));
+            return own.then(|| Event::Reply(measurement(ranges, [p0, p1, v, vt, t])));
         }
         let data = frame.eight()?;
         let [low, high, kind, index, value @ ..] = data;
@@ -108,7 +105,7 @@ impl Codec<'_> {
         let reply = JointReply {
             temperature: Some(mosfet.max(rotor).into()),
             state: Some(state),
-            ..measured(ranges, [p0, p1, v, vt, t])
+            ..measurement(ranges, [p0, p1, v, vt, t])
         };
         Some(Event::Reply(reply))
     }
@@ -128,9 +125,8 @@ impl Codec<'_> {
         if !plain(frame, self.drive.id) {
             return None;
         }
-        let [p0, p1, v, vk, kp, kd, kt, t] = data;
-        if data.starts_with(&PREFIX) {
-            match t {
+        if let [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, last] = data {
+            match last {
                 0xfc => return Some(Request::Order(Order::Enable)),
                 0xfd => return Some(Request::Order(Order::Disable)),
                 0xfe => return Some(Request::Order(Order::SetZero)),
@@ -138,13 +134,11 @@ impl Codec<'_> {
                 _ => {}
             }
         }
-        let motion = measured(ranges, [p0, p1, v, vk & 0xf0 | kt & 0xf, t]);
-        let kp = u16::from(vk & 0xf) << 8 | u16::from(kp);
-        let kd = u16::from(kd) << 4 | u16::from(kt) >> 4;
+        let [p, v, kp, kd, t] = unpack(data);
         Some(Request::Command(JointCommand {
-            position: motion.position.unwrap_or_default(),
-            velocity: motion.velocity.unwrap_or_default(),
-            torque: motion.torque.unwrap_or_default(),
+            position: from_centred(p, ranges.position, FINE),
+            velocity: from_centred(v, ranges.velocity, COARSE),
+            torque: from_centred(t, ranges.torque, COARSE),
             kp: f32::from(kp) * ranges.kp / f32::from(COARSE),
             kd: f32::from(kd) * ranges.kd / f32::from(COARSE),
         }))
@@ -156,7 +150,7 @@ impl Codec<'_> {
             DriveState::Enabled => 1,
             DriveState::Fault(code) => code.clamp(2, 15) as u8,
         };
-        let (id, [p0, p1, v, vt, t]) = (self.drive.id as u8, measurement(self.scales, reply));
+        let (id, [p0, p1, v, vt, t]) = (self.drive.id as u8, measured(self.scales, reply));
         let celsius = reply.temperature.unwrap_or_default() as u8;
         let damiao = [status << 4 | id & 0xf, p0, p1, v, vt, t, celsius, celsius];
         let mini_cheetah = [id, p0, p1, v, vt, t];
@@ -169,53 +163,44 @@ impl Codec<'_> {
             return;
         }
         let [low, high] = self.drive.id.to_le_bytes();
-        let [v0, v1, v2, v3] = value.to_le_bytes();
-        let data = [low, high, READ, register(scale), v0, v1, v2, v3];
+        let data = join([low, high, READ, register(scale)], value.to_le_bytes());
         push(frames, Frame::standard(self.drive.host_id.into(), &data));
     }
 }
 
-fn pack(p: u16, v: u16, kp: u16, kd: u16, t: u16) -> [u8; 8] {
-    let [p0, p1] = p.to_be_bytes();
-    [
-        p0,
-        p1,
-        (v >> 4) as u8,
-        (v << 4) as u8 | (kp >> 8) as u8,
-        kp as u8,
-        (kd >> 4) as u8,
-        (kd << 4) as u8 | (t >> 8) as u8,
-        t as u8,
-    ]
+/// Bytes of position, velocity, stiffness, damping and torque.
+fn pack([p, v, kp, kd, t]: [u16; 5]) -> [u8; 8] {
+    let coarse = [v, kp, kd, t].into_iter();
+    let bits = coarse.fold(u64::from(p), |bits, code| bits << 12 | u64::from(code));
+    bits.to_be_bytes()
 }
 
-/// Position, velocity and torque codes of a reply's five bytes.
-fn measured(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
-    let velocity = u16::from(v) << 4 | u16::from(vt) >> 4;
-    let torque = u16::from(vt & 0xf) << 8 | u16::from(t);
+fn unpack(data: [u8; 8]) -> [u16; 5] {
+    let bits = u64::from_be_bytes(data);
+    let coarse = [36, 24, 12, 0].map(|place| (bits >> place) as u16 & COARSE);
+    let [v, kp, kd, t] = coarse;
+    [(bits >> 48) as u16, v, kp, kd, t]
+}
+
+/// Content of a reply's five bytes: position, velocity, torque.
+fn measurement(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
+    let p = u16::from_be_bytes([p0, p1]);
+    let [.., v, t] = unpack([0, 0, 0, 0, 0, v, vt, t]);
     JointReply {
-        position: Some(from_centred(
-            u16::from_be_bytes([p0, p1]),
-            ranges.position,
-            FINE,
-        )),
-        velocity: Some(from_centred(velocity, ranges.velocity, COARSE)),
-        torque: Some(from_centred(torque, ranges.torque, COARSE)),
+        position: Some(from_centred(p, ranges.position, FINE)),
+        velocity: Some(from_centred(v, ranges.velocity, COARSE)),
+        torque: Some(from_centred(t, ranges.torque, COARSE)),
         ..JointReply::default()
     }
 }
 
-fn measurement(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
+/// The five bytes of a reply.
+fn measured(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
     let [p0, p1] = code_of(reply.position, ranges.position, FINE).to_be_bytes();
     let v = code_of(reply.velocity, ranges.velocity, COARSE);
     let t = code_of(reply.torque, ranges.torque, COARSE);
-    [
-        p0,
-        p1,
-        (v >> 4) as u8,
-        (v << 4) as u8 | (t >> 8) as u8,
-        t as u8,
-    ]
+    let [.., v, vt, t] = pack([0, 0, 0, v, t]);
+    [p0, p1, v, vt, t]
 }
 
 /// Register of a range: 21 to 23.
@@ -245,19 +230,9 @@ pub(super) fn add_torque(frame: &mut Frame, steps: i32) {
     let Ok(data) = <&mut [u8; 8]>::try_from(frame.bytes_mut()) else {
         return;
     };
-    let [p0, p1, v, vk, kp, kd, kt, t] = *data;
-    let code = i32::from(kt & 0xf) << 8 | i32::from(t);
-    let code = (code + steps).clamp(0, COARSE.into()) as u16;
-    let sum = [
-        p0,
-        p1,
-        v,
-        vk,
-        kp,
-        kd,
-        kt & 0xf0 | (code >> 8) as u8,
-        code as u8,
-    ];
+    let [p, v, kp, kd, t] = unpack(*data);
+    let t = (i32::from(t) + steps).clamp(0, COARSE.into()) as u16;
+    let sum = pack([p, v, kp, kd, t]);
     if !data.starts_with(&PREFIX) && !sum.starts_with(&PREFIX) {
         *data = sum;
     }

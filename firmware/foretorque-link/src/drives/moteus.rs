@@ -9,6 +9,7 @@ use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Moteus, Order,
     Outgoing, Request, Resolution, Saturation, Scale, TURN, push,
 };
+use crate::copy;
 
 fn query(bytes: &mut Bytes, resolution: Resolution) {
     let (form, _) = form(resolution);
@@ -225,15 +226,7 @@ pub(super) fn add_torque(frame: &mut Frame, torque: f32, carry: &mut f32) {
         Value::Float(_) => put(&mut bytes, &(before + torque).to_le_bytes()),
     }
     let place = end.saturating_sub(bytes.len())..end;
-    for (to, from) in frame
-        .bytes_mut()
-        .get_mut(place)
-        .unwrap_or_default()
-        .iter_mut()
-        .zip(&bytes)
-    {
-        *to = *from;
-    }
+    copy(frame.bytes_mut().get_mut(place).unwrap_or_default(), &bytes);
 }
 
 /// Padding of a frame to the next length of CAN-FD: a subframe that does nothing.

@@ -3,11 +3,12 @@
 //! Turns and turns/s of the axis' coordinate, N·m. `Set_Input_Pos` carries velocity and torque as scaled i16, the other
 //! two inputs as f32. Source: ODrive's CAN protocol and DBC, firmware 0.6.
 
-use super::frame::{carried, pair, unpair};
+use super::frame::{carried, join, pair, unpair};
 use super::{
     ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Odrive,
     Order, Outgoing, Request, Saturation, Scale, TURN, push,
 };
+use crate::copy;
 
 /// Commands of the identifier.
 mod command {
@@ -61,11 +62,10 @@ impl Codec<'_> {
                 };
                 let speed = speed * self.scales.velocity_scale;
                 let torque = motion.torque * self.scales.torque_scale;
-                let speed =
-                    code(speed, &mut out.carry.velocity, Saturation::VELOCITY).to_le_bytes();
-                let torque = code(torque, &mut out.carry.torque, Saturation::TORQUE).to_le_bytes();
-                let ([p0, p1, p2, p3], [v0, v1], [t0, t1]) = (turns.to_le_bytes(), speed, torque);
-                let bytes = [p0, p1, p2, p3, v0, v1, t0, t1];
+                let speed = code(speed, &mut out.carry.velocity, Saturation::VELOCITY);
+                let torque = code(torque, &mut out.carry.torque, Saturation::TORQUE);
+                let ([v0, v1], [t0, t1]) = (speed.to_le_bytes(), torque.to_le_bytes());
+                let bytes = join(turns.to_le_bytes(), [v0, v1, t0, t1]);
                 self.send(command::POSITION, &bytes, out.frames);
             }
             ControlMode::Velocity => {
@@ -153,9 +153,7 @@ impl Codec<'_> {
             return (kind == command::ESTIMATES).then_some(Request::Order(Order::Report));
         }
         let mut data = [0; 8];
-        data.iter_mut()
-            .zip(frame.bytes())
-            .for_each(|(to, from)| *to = *from);
+        copy(&mut data, frame.bytes());
         let (first, second) = unpair(data);
         let mut motion = JointCommand::default();
         match (kind, frame.bytes().len()) {
@@ -199,15 +197,14 @@ impl Codec<'_> {
             DriveState::Enabled => (0, CLOSED_LOOP),
             DriveState::Fault(error) => (error.max(1), IDLE),
         };
-        let [e0, e1, e2, e3] = error.to_le_bytes();
-        let bytes = [e0, e1, e2, e3, state as u8, 0, 0, 0];
+        let bytes = join(error.to_le_bytes(), state.to_le_bytes());
         self.send(command::HEARTBEAT, &bytes, frames);
     }
 
     pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
         let [low, high] = self.scales.torque_scale_endpoint.to_le_bytes();
-        let [v0, v1, v2, v3] = value.to_le_bytes();
-        self.send(command::VALUE, &[0, low, high, 0, v0, v1, v2, v3], frames);
+        let bytes = join([0, low, high, 0], value.to_le_bytes());
+        self.send(command::VALUE, &bytes, frames);
     }
 }
 

@@ -3,6 +3,7 @@
 use super::mailbox::{Order, ParameterMailbox, Upload};
 use super::{Clock, Mailboxes, Session};
 use crate::bank::{ParameterBank, Parameters, slots};
+use crate::copy;
 use crate::store::{Store, StoreError};
 use crate::wire::{BoardMessage, CRC, FrameBuffer, NackReason};
 use core::marker::PhantomData;
@@ -135,9 +136,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
 
     fn hold(&mut self, content: &[u8]) {
         self.length = self.bytes.len().min(content.len());
-        for (slot, byte) in self.bytes.iter_mut().zip(content) {
-            *slot = *byte;
-        }
+        copy(&mut self.bytes, content);
     }
 
     /// Checks checksum and signature of the upload in `bytes`.

@@ -3,6 +3,7 @@ use embedded_storage::nor_flash::NorFlash;
 use super::{HEADER_BYTES, Header, SLOT_BYTES};
 use super::{SECTORS, StoreError, slots};
 use crate::bank::ParameterBank;
+use crate::copy;
 use crate::wire::CRC;
 
 /// Bytes read or written at once. A header is one piece, and a slot is whole pieces.
@@ -151,9 +152,7 @@ impl<F: NorFlash> Store<F> {
         let mut place = slot * SLOT_BYTES + HEADER_BYTES as u32;
         for piece in bank.chunks(PIECE) {
             let mut padded = [0xFF; PIECE];
-            for (to, from) in padded.iter_mut().zip(piece) {
-                *to = *from;
-            }
+            copy(&mut padded, piece);
             let length = piece.len().next_multiple_of(F::WRITE_SIZE);
             let words = padded.get(..length).unwrap_or_default();
             self.flash
@@ -210,9 +209,7 @@ impl<F: NorFlash> Store<F> {
             .chunks_mut(PIECE)
         {
             let bytes = self.piece(place)?;
-            for (to, from) in part.iter_mut().zip(&bytes) {
-                *to = *from;
-            }
+            copy(part, &bytes);
             place += PIECE as u32;
         }
         Ok(())

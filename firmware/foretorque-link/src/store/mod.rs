@@ -20,6 +20,7 @@
 mod log;
 
 use crate::bank::{BankError, ParameterBank};
+use crate::copy;
 use crate::wire::CRC;
 pub use log::Store;
 use serde::{Deserialize, Serialize};
@@ -157,9 +158,7 @@ impl Header {
         let [content @ .., crc] = &mut words;
         *crc = CRC.checksum(content.as_flattened()).to_le_bytes();
         let mut bytes = [0; HEADER_BYTES];
-        for (slot, byte) in bytes.iter_mut().zip(words.as_flattened()) {
-            *slot = *byte;
-        }
+        copy(&mut bytes, words.as_flattened());
         bytes
     }
 

@@ -1,6 +1,7 @@
 //! Encoder and decoder of frames.
 
 use super::{MAX_FRAME, MAX_PAYLOAD, PROTOCOL_VERSION};
+use crate::copy;
 use core::fmt;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use postcard::ser_flavors::Flavor;
@@ -89,9 +90,7 @@ impl Flavor for Plain<'_> {
         let rest = self.buffer.get_mut(self.length..);
         let places = rest.and_then(|rest| rest.get_mut(..bytes.len()));
         let places = places.ok_or(postcard::Error::SerializeBufferFull)?;
-        for (place, byte) in places.iter_mut().zip(bytes) {
-            *place = *byte;
-        }
+        copy(places, bytes);
         self.length += bytes.len();
         Ok(())
     }

@@ -31,6 +31,13 @@ fn arm() -> [DriveProfile; 3] {
     arm
 }
 
+/// The frame of a motion command.
+fn sent(profile: &DriveProfile, command: &JointCommand) -> Frame {
+    let mut frames = Frames::new();
+    let _ = profile.command(command, &mut Carry::default(), &mut frames);
+    frames[0]
+}
+
 fn torque_of(profile: &DriveProfile, frame: &Frame) -> f32 {
     match profile.accept(frame) {
         Some(Request::Command(command)) => command.torque,
@@ -42,7 +49,7 @@ fn torque_of(profile: &DriveProfile, frame: &Frame) -> f32 {
 fn mixed(arm: &[DriveProfile; 3], random: &mut Random) -> (Frame, Option<usize>) {
     let joint = (random.next() % 3) as usize;
     let (profile, mut frames) = (&arm[joint], Frames::new());
-    let is_command = match random.next() % 4 {
+    match random.next() % 4 {
         0 => {
             let command = JointCommand {
                 position: random.share(),
@@ -50,23 +57,14 @@ fn mixed(arm: &[DriveProfile; 3], random: &mut Random) -> (Frame, Option<usize>)
                 kp: 50.0 * random.share(),
                 ..JointCommand::default()
             };
-            let _ = profile.command(&command, &mut Carry::default(), &mut frames);
-            true
+            return (sent(profile, &command), Some(joint));
         }
         1 => {
-            let orders = [
-                Order::Enable,
-                Order::Disable,
-                Order::ClearFault,
-                Order::SetZero,
-            ];
-            profile.order(orders[(random.next() % 4) as usize], &mut frames);
-            false
+            use Order::{ClearFault, Disable, Enable, SetZero};
+            let order = [Enable, Disable, ClearFault, SetZero][(random.next() % 4) as usize];
+            profile.order(order, &mut frames);
         }
-        2 => {
-            profile.reply(&JointReply::default(), &mut frames);
-            false
-        }
+        2 => profile.reply(&JointReply::default(), &mut frames),
         _ => {
             let data = random.next().to_le_bytes();
             let bytes = &data[..(random.next() % 9) as usize];
@@ -81,8 +79,8 @@ fn mixed(arm: &[DriveProfile; 3], random: &mut Random) -> (Frame, Option<usize>)
                 .position(|profile| matches!(profile.accept(&frame), Some(Request::Command(_))));
             return (frame, own);
         }
-    };
-    (frames[0], is_command.then_some(joint))
+    }
+    (frames[0], None)
 }
 
 #[test]
@@ -153,11 +151,10 @@ fn without_a_young_torque_nothing_changes() {
     assert!(cases.iter().all(|board| board.altered() == 0));
     // A torque that has expired stays off when the clock of 32 bits comes round.
     let [_, _, mut late, ..] = cases;
-    let mut frames = Frames::new();
-    let _ = arm[0].command(&JointCommand::default(), &mut Carry::default(), &mut frames);
-    let mut frame = frames[0];
-    let _ = late.to_drives(&mut frame, now - TIMEOUT_US);
-    assert_eq!(frame, frames[0]);
+    let sent = sent(&arm[0], &JointCommand::default());
+    let mut passed = sent;
+    let _ = late.to_drives(&mut passed, now - TIMEOUT_US);
+    assert_eq!(passed, sent);
 }
 
 #[test]
@@ -166,19 +163,15 @@ fn added_torque_has_no_bias_and_makes_no_order() {
     let mut board = InLine::new(arm.map(Some), TIMEOUT_US);
     board.set(&[0.0011; 3], 0);
     for (joint, profile) in arm.iter().enumerate() {
-        let mut frames = Frames::new();
-        let _ = profile.command(&JointCommand::default(), &mut Carry::default(), &mut frames);
-        let (before, mut sum) = (torque_of(profile, &frames[0]), 0.0);
+        let sent = sent(profile, &JointCommand::default());
+        let (before, mut sum) = (torque_of(profile, &sent), 0.0);
         for _ in 0..4096 {
-            let mut frame = frames[0];
-            let _ = board.to_drives(&mut frame, 0);
-            sum += f64::from(torque_of(profile, &frame) - before);
+            let mut passed = sent;
+            let _ = board.to_drives(&mut passed, 0);
+            sum += f64::from(torque_of(profile, &passed) - before);
         }
-        assert!(
-            (sum / 4096.0 - 0.0011).abs() < 1e-5,
-            "joint {joint}: {}",
-            sum / 4096.0
-        );
+        let mean = sum / 4096.0;
+        assert!((mean - 0.0011).abs() < 1e-5, "joint {joint}: {mean}");
     }
     // Motion commands at full scale next to the bytes of an order.
     for torque in [9.0, -9.0] {
@@ -283,27 +276,20 @@ fn torque_is_added_to_every_form_of_a_moteus_command_that_has_the_field() {
         scales.resolution = resolution;
         let mut board = InLine::new([Some(drive)], TIMEOUT_US);
         board.set(&[1.5], 0);
-        let (mut frames, command) = (
-            Frames::new(),
-            JointCommand {
-                position: 0.5,
-                torque: 0.25,
-                ..JointCommand::default()
-            },
-        );
-        let _ = drive.command(&command, &mut Carry::default(), &mut frames);
-        let mut frame = frames[0];
+        let command = JointCommand {
+            position: 0.5,
+            torque: 0.25,
+            ..JointCommand::default()
+        };
+        let sent = sent(&drive, &command);
+        let mut frame = sent;
         assert!(board.to_drives(&mut frame, 0).is_some());
         let Some(Request::Command(passed)) = drive.accept(&frame) else {
             panic!("{frame:?}");
         };
-        assert!(
-            (passed.torque - 1.75).abs() < 0.03,
-            "{resolution:?} {passed:?}"
-        );
-        assert!(
-            (passed.position - 0.5).abs() < 1e-3 && frame.bytes().len() == frames[0].bytes().len()
-        );
+        let near = (passed.torque - 1.75).abs() < 0.03 && (passed.position - 0.5).abs() < 1e-3;
+        assert!(near, "{resolution:?} {passed:?}");
+        assert_eq!(frame.bytes().len(), sent.bytes().len());
     }
     // Mode 10 and a position, without the field of the torque.
     let drive = profile(PROTOCOLS[4].0);

@@ -1,4 +1,5 @@
 use crate::bank::ParameterBank;
+use crate::copy;
 use crate::wire::{BoardMessage, CHUNK, NackReason};
 
 /// A parameter bank on its way up or down, or an excitation on its way up, in one buffer.
@@ -46,10 +47,8 @@ impl Transfer {
             let expected = self.length as u16;
             return Err(NackReason::Gap { expected });
         }
-        let place = self.bytes.get_mut(start..end).ok_or(NackReason::TooLong)?;
-        for (slot, byte) in place.iter_mut().zip(chunk) {
-            *slot = *byte;
-        }
+        let place = self.bytes.get_mut(start..end);
+        copy(place.ok_or(NackReason::TooLong)?, chunk);
         self.length = end;
         Ok(())
     }
@@ -71,9 +70,7 @@ impl Transfer {
     /// Keeps `bytes` for reading, as many as the buffer takes; an unfinished upload is dropped.
     pub(in crate::session) fn hold(&mut self, bytes: &[u8]) {
         self.length = self.bytes.len().min(bytes.len());
-        for (slot, byte) in self.bytes.iter_mut().zip(bytes) {
-            *slot = *byte;
-        }
+        copy(&mut self.bytes, bytes);
         self.direction = Direction::Down;
     }
 
