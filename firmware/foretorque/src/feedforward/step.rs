@@ -46,7 +46,6 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 /// motion it was learnt on: beyond, it stays what it was at the edge. The sum may differ from the committed set's by
 /// `LEARNED_BOUND`, the payload by a bound of its own comes on top, and both together change by no more than
 /// `learned_slew_per_tick`, whatever is adopted and whatever the motion. The rest is saturation and slew.
-/// Cogging alone follows the measured position.
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///

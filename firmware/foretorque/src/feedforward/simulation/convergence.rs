@@ -95,12 +95,8 @@ fn friction_that_grows_with_the_load_is_learnt() {
 
 #[test]
 fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
-    let mut board = Board::new(wrong_prior(1), 0);
-    let mut plant = Plant::new(AS_IT_IS);
-    board.feedforward.set_learning(true);
-    for tick in 0..3000 {
-        board.tick(&plant.sample(tick));
-    }
+    let (mut board, mut plant) = Board::learning();
+    board.run(&mut plant, 0..3000);
     // It stops between two samples and stands there; the encoder flickers by one count.
     let still = JointMotion {
         qd: JointVector::zeros(),
@@ -155,37 +151,22 @@ fn a_learner_beyond_its_slack_is_counted_in_every_round() {
     let mut board = Board::new(wrong_prior(1), N / 2 + 1);
     let mut plant = Plant::new(AS_IT_IS);
     board.feedforward.set_learning(true);
-    for tick in 0..600 {
-        board.tick(&plant.sample(tick));
-    }
-    assert!(
-        board.feedforward.state().late_sets >= 97,
-        "{}",
-        board.feedforward.state().late_sets
-    );
+    board.run(&mut plant, 0..600);
+    let late = board.feedforward.state().late_sets;
+    assert!(late >= 97, "{late}");
 }
 
 #[test]
 fn a_frozen_board_gives_the_same_torque_for_the_same_motion_for_ever() {
-    let mut board = Board::new(wrong_prior(1), 0);
-    let mut plant = Plant::new(AS_IT_IS);
-    board.feedforward.set_learning(true);
-    for tick in 0..2000 {
-        board.tick(&plant.sample(tick));
-    }
+    let (mut board, mut plant) = Board::learning();
+    board.run(&mut plant, 0..2000);
     board.feedforward.set_learning(false);
     // What was learnt before the freeze still arrives with the round that was open.
-    for tick in 2000..2012 {
-        board.tick(&plant.sample(tick));
-    }
+    board.run(&mut plant, 2000..2012);
     let frozen = *board.active();
     for tick in 2012..4000 {
-        assert!(
-            !board
-                .tick(&plant.sample(tick))
-                .flags
-                .contains(Flags::LEARNING_ON)
-        );
+        let flags = board.tick(&plant.sample(tick)).flags;
+        assert!(!flags.contains(Flags::LEARNING_ON));
     }
     assert_eq!(*board.active(), frozen);
 }
@@ -233,7 +214,7 @@ fn an_identified_set_is_not_left_for_worse() {
         let mut worst = 0.0f64;
         for tick in 0..20_000 {
             board.tick(&plant.sample(tick));
-            if tick % 500 == 999 {
+            if tick % 1000 == 999 {
                 let ratio = nrmse(board.active(), &unseen, drive).0 / start;
                 worst = worst.max(ratio);
             }

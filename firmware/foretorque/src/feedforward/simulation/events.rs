@@ -35,22 +35,31 @@ impl Cell {
 
     /// A settled board whose counter of the tick began at `first`.
     fn settled_from(first: u32) -> Self {
+        Self::learnt(|board| {
+            let state = &mut board.feedforward.state;
+            state.tick = first;
+            // Loads and requests wrap as well.
+            (state.generation, state.requests) = (first, first);
+        })
+    }
+
+    /// A board that is changed by `change` and has learnt the arm for 14 s.
+    fn learnt(change: impl FnOnce(&mut Board)) -> Self {
+        let (board, plant) = Board::learning();
         let mut cell = Self {
-            board: Board::new(wrong_prior(1), 0),
-            plant: Plant::new(AS_IT_IS),
+            board,
+            plant,
             tick: 0,
             read: 0,
         };
-        let state = &mut cell.board.feedforward.state;
-        state.tick = first;
-        // Loads and requests wrap as well.
-        (state.generation, state.requests) = (first, first);
-        cell.board.feedforward.set_learning(true);
-        for _ in 0..14_000 {
-            cell.step();
-        }
+        change(&mut cell.board);
+        cell.steps(14_000);
         cell.decisions();
         cell
+    }
+
+    fn steps(&mut self, ticks: u32) {
+        (0..ticks).for_each(|_| _ = self.step());
     }
 
     fn step(&mut self) -> (JointSample<N>, Torque<N>) {
@@ -135,9 +144,7 @@ fn carry(cell: &mut Cell, mass: f32) -> (u32, PayloadEstimate) {
     assert_eq!(cell.payload(), PayloadEstimate::default());
     assert_eq!(cell.board.feedforward.state().payload.amax(), 0.0);
     assert!(restored, "{picked:?} {put_down:?}");
-    for _ in 0..2500 {
-        cell.step();
-    }
+    cell.steps(2500);
     cell.decisions();
     (last_bad, weighed)
 }
@@ -210,9 +217,7 @@ fn m12_a_push_is_no_payload_and_leaves_nothing_behind() {
 
 #[test]
 fn m12_a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
-    let mut board = Board::new(wrong_prior(1), 0);
-    let mut plant = Plant::new(AS_IT_IS);
-    board.feedforward.set_learning(true);
+    let (mut board, mut plant) = Board::learning();
     for tick in 0..20_000 {
         let mut sample = plant.sample(tick);
         if let Some(measured) = &mut sample.measured {
@@ -278,9 +283,7 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
     let mut cell = Cell::settled();
     // Leaning on the elbow for longer than any trial lasts.
     cell.plant.push[2] = 30.0;
-    for _ in 0..4000 {
-        cell.step();
-    }
+    cell.steps(4000);
     assert_eq!(
         cell.board.learner.state().report.quality.phase,
         Phase::Relearning
@@ -293,9 +296,7 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
         "{leaning:?}"
     );
     cell.plant.push[2] = 0.0;
-    for _ in 0..12_000 {
-        cell.step();
-    }
+    cell.steps(12_000);
     assert_eq!(
         cell.board.learner.state().report.quality.phase,
         Phase::Healthy
@@ -307,27 +308,12 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
 
 #[test]
 fn a_board_of_one_joint_hears_what_happens_to_that_joint_and_to_no_other() {
-    let mut cell = Cell {
-        board: Board::new(wrong_prior(1), 0),
-        plant: Plant::new(AS_IT_IS),
-        tick: 0,
-        read: 0,
-    };
-    cell.board.learner.learn_only(1);
-    cell.board.feedforward.set_learning(true);
-    for _ in 0..14_000 {
-        cell.step();
-    }
-    cell.decisions();
+    let mut cell = Cell::learnt(|board| board.learner.learn_only(1));
     let heard = |cell: &mut Cell, joint: usize, push: f64| {
         cell.plant.push[joint] = push;
-        for _ in 0..1000 {
-            cell.step();
-        }
+        cell.steps(1000);
         cell.plant.push[joint] = 0.0;
-        for _ in 0..12_000 {
-            cell.step();
-        }
+        cell.steps(12_000);
         let decisions = cell.decisions();
         assert!(!has(&decisions, Reason::Promoted), "{decisions:?}");
         let alarms = decisions

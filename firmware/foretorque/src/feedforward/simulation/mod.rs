@@ -230,6 +230,13 @@ impl Board {
         }
     }
 
+    /// A board that learns from a wrong prior, at the arm as it is.
+    fn learning() -> (Self, Plant) {
+        let mut board = Self::new(wrong_prior(1), 0);
+        board.feedforward.set_learning(true);
+        (board, Plant::new(AS_IT_IS))
+    }
+
     fn tick(&mut self, sample: &JointSample<N>) -> Torque<N> {
         self.feedforward.adopt(&mut self.exchange);
         let torque = self.feedforward.step(sample);
@@ -240,6 +247,11 @@ impl Board {
             self.learner.learn(&lesson, &mut self.exchange);
         }
         torque
+    }
+
+    /// Ticks on samples of the plant.
+    fn run(&mut self, plant: &mut Plant, ticks: core::ops::Range<u32>) {
+        ticks.for_each(|tick| _ = self.tick(&plant.sample(tick)));
     }
 
     fn active(&self) -> &Set {
