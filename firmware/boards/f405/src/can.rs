@@ -141,7 +141,6 @@ pub fn open_filters(can1: &mut impl Registers) {
 #[derive(Debug)]
 pub struct Bxcan<R> {
     registers: R,
-    overruns: u32,
 }
 
 impl<R: Registers> Bxcan<R> {
@@ -157,10 +156,7 @@ impl<R: Registers> Bxcan<R> {
         registers.write(offset::BTR, timing);
         registers.write(offset::MCR, TXFP | ABOM);
         registers.write(offset::IER, TMEIE | FMPIE0);
-        Ok(Self {
-            registers,
-            overruns: 0,
-        })
+        Ok(Self { registers })
     }
 
     /// Gives a frame to an empty mailbox. Errors: [`CanError::Full`], [`CanError::NotClassic`].
@@ -200,7 +196,6 @@ impl<R: Registers> Bxcan<R> {
         }
         let status = self.registers.read(offset::RF0R);
         if status & FOVR != 0 {
-            self.overruns = self.overruns.wrapping_add(1);
             self.registers.write(offset::RF0R, FOVR);
         }
         if status & FMP == 0 {
@@ -227,28 +222,11 @@ impl<R: Registers> Bxcan<R> {
         Some(frame)
     }
 
-    /// Drops the frames that still wait for the bus: they are late.
-    pub fn abort(&mut self) {
-        const ABRQ: u32 = 1 << 7 | 1 << 15 | 1 << 23;
-        self.registers.write(offset::TSR, ABRQ);
-    }
-
     /// The controller takes no part in the bus: it has left it after too many errors, or has not seen it idle since the
     /// start. It joins again by itself, after eleven recessive bits.
     pub fn is_off(&self) -> bool {
         let outside = self.registers.read(offset::MSR) & INAK != 0;
         outside || self.registers.read(offset::ESR) & BOFF != 0
-    }
-
-    /// Counters of transmit and receive errors.
-    pub fn error_counters(&self) -> (u8, u8) {
-        let status = self.registers.read(offset::ESR);
-        ((status >> 16) as u8, (status >> 24) as u8)
-    }
-
-    /// Number of times that frames were lost because nobody read them.
-    pub const fn overruns(&self) -> u32 {
-        self.overruns
     }
 }
 

@@ -35,7 +35,7 @@ impl Registers for Model {
                 .filter(|mailbox| !self.pending.contains(mailbox))
                 .fold(0, |bits, mailbox| bits | TME0 << mailbox),
             offset::RF0R => self.fifo.len() as u32 | if self.overrun { FOVR } else { 0 },
-            offset::ESR if self.off => BOFF | 0xf8 << 16 | 7 << 24,
+            offset::ESR if self.off => BOFF,
             offset::RI0R..=0x1bc => self
                 .fifo
                 .front()
@@ -51,8 +51,6 @@ impl Registers for Model {
             offset::BTR if self.mcr & INRQ != 0 => self.btr = value,
             offset::RF0R if value & RFOM != 0 => drop(self.fifo.pop_front()),
             offset::RF0R => self.overrun &= value & FOVR == 0,
-            offset::TSR if value & (1 << 7) != 0 => self.pending.clear(),
-            offset::TSR => {}
             offset::TI0R..=0x1ac => {
                 let (mailbox, word) = (
                     (offset - offset::TI0R) / 16,
@@ -196,7 +194,7 @@ fn frames_pass_unchanged_and_in_order() {
             received += 1;
         }
     }
-    assert!(received > 50_000 && far.overruns() == 0);
+    assert!(received > 50_000);
 }
 
 #[test]
@@ -210,7 +208,7 @@ fn faults_of_the_bus_are_seen() {
     }
     // Three fit: the first two and the last.
     assert_eq!(far.receive(), Some(frames[0]));
-    assert_eq!(far.overruns(), 1);
+    assert!(!far.registers.overrun, "the flag is cleared");
     assert_eq!(
         (far.receive(), far.receive(), far.receive()),
         (Some(frames[1]), Some(frames[4]), None)
@@ -220,16 +218,14 @@ fn faults_of_the_bus_are_seen() {
         Err(CanError::NotClassic)
     );
     assert_eq!(near.send(&frames[0].into_fd(0)), Err(CanError::NotClassic));
-    assert_eq!((near.is_off(), near.error_counters()), (false, (0, 0)));
+    assert!(!near.is_off());
     near.registers.off = true;
-    assert_eq!((near.is_off(), near.error_counters()), (true, (0xf8, 7)));
-    // Nobody acknowledges: the mailboxes fill, and late frames are dropped.
+    assert!(near.is_off());
+    // Nobody acknowledges: the mailboxes fill.
     for frame in &frames[..3] {
         near.send(frame).unwrap();
     }
     assert_eq!(near.send(&frames[3]), Err(CanError::Full));
-    near.abort();
-    assert_eq!(near.send(&frames[3]), Ok(()));
     // A length beyond 8 means eight bytes.
     far.registers.hear([5 << 21, 15, 1, 2], &near.registers);
     assert_eq!(
