@@ -32,7 +32,7 @@ pub enum ForetorqueStatus {
 
 /// Input of one tick.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ForetorqueSample {
     /// Positions that the arm shall have in the tick in which the torque takes effect, rad.
     pub q_rad: [f32; FORETORQUE_JOINTS],
@@ -75,7 +75,7 @@ impl ForetorqueSample {
 
 /// Output of one tick. Always finite.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ForetorqueTorque {
     /// The torque to add to the drives' set-points, after limits, N m; positive accelerates +q.
     pub total_nm: [f32; FORETORQUE_JOINTS],

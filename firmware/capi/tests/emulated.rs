@@ -45,23 +45,8 @@ fn line(values: &[f32]) -> String {
 /// The computation of main.c on the host.
 fn native() -> Vec<String> {
     let mut memory = vec![0_u64; foretorque_size().div_ceil(8)];
-    let zero = [0.0; FORETORQUE_JOINTS];
-    let mut sample = ForetorqueSample {
-        q_rad: zero,
-        qd_rad_s: zero,
-        qdd_rad_s2: zero,
-        measured_q_rad: zero,
-        measured_tau_nm: zero,
-        measured: 0,
-    };
-    let mut torque = ForetorqueTorque {
-        total_nm: zero,
-        rigid_nm: zero,
-        friction_nm: zero,
-        network_nm: zero,
-        flags: 0,
-        tick: 0,
-    };
+    let mut sample = ForetorqueSample::default();
+    let mut torque = ForetorqueTorque::default();
     let mut numbers = Numbers(1);
     let mut lines = Vec::new();
     let mut it = ptr::null_mut();

@@ -66,28 +66,21 @@ impl Program {
         SafetyReason::from_code(reason)
     }
 
-    fn safety(&self) -> ForetorqueSafety {
+    /// What `call` writes.
+    fn written<T>(
+        &self,
+        call: unsafe extern "C" fn(*mut Foretorque, *mut T) -> ForetorqueStatus,
+    ) -> T {
         let mut out = MaybeUninit::uninit();
         // SAFETY: written before it is read.
         unsafe {
-            assert_eq!(
-                foretorque_safety(self.it, out.as_mut_ptr()),
-                ForetorqueStatus::Ok
-            );
+            assert_eq!(call(self.it, out.as_mut_ptr()), ForetorqueStatus::Ok);
             out.assume_init()
         }
     }
 
-    fn limits(&self) -> ForetorqueLimits {
-        let mut out = MaybeUninit::uninit();
-        // SAFETY: written before it is read.
-        unsafe {
-            assert_eq!(
-                foretorque_limits(self.it, out.as_mut_ptr()),
-                ForetorqueStatus::Ok
-            );
-            out.assume_init()
-        }
+    fn safety(&self) -> ForetorqueSafety {
+        self.written(foretorque_safety)
     }
 
     fn armed() -> Self {
@@ -124,7 +117,7 @@ fn torque_needs_fresh_samples_and_arming() {
 #[test]
 fn a_time_out_ramps_within_the_limits_and_only_arming_brings_torque_back() {
     let mut program = Program::armed();
-    let limits = program.limits();
+    let limits = program.written(foretorque_limits);
     assert_eq!((limits.timeout_ticks, limits.measurement_ticks), (51, 101));
     let mut before = program.tick(Some(0.0), 1).total_nm;
     for k in 1..=60 {
