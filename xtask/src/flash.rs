@@ -29,44 +29,32 @@ const ERASED: u8 = 0xff;
 /// Bytes of a line of Intel HEX.
 const HEX_LINE: usize = 16;
 
-/// A board that has a firmware here.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Board {
-    /// ODrive v3 class: `joint`.
-    #[default]
-    Odrive,
-    /// pyboard v1.1: `joint-pyboard`.
-    Pyboard,
-    /// pyboard v1.1 that drives its own joint: `joint-drive`.
-    Drive,
-    /// pyboard v1.1 on the bus of CAN drives: `joint-can`.
-    Can,
+/// Names of the boards that have a firmware here, and their binaries: ODrive v3 class; pyboard v1.1, the second one drives its
+/// own joint, the third one is on the bus of CAN drives.
+const BOARDS: [(&str, &str); 4] = [
+    ("odrive", "joint"),
+    ("pyboard", "joint-pyboard"),
+    ("drive", "joint-drive"),
+    ("can", "joint-can"),
+];
+
+/// Binary of a board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Board(&'static str);
+
+impl Default for Board {
+    fn default() -> Self {
+        Self(BOARDS[0].1)
+    }
 }
 
 impl std::str::FromStr for Board {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "odrive" => Ok(Self::Odrive),
-            "pyboard" => Ok(Self::Pyboard),
-            "drive" => Ok(Self::Drive),
-            "can" => Ok(Self::Can),
-            other => Err(format!(
-                "unknown board `{other}`: choose odrive, pyboard, drive or can"
-            )),
-        }
-    }
-}
-
-impl Board {
-    const fn binary(self) -> &'static str {
-        match self {
-            Self::Odrive => "joint",
-            Self::Pyboard => "joint-pyboard",
-            Self::Drive => "joint-drive",
-            Self::Can => "joint-can",
-        }
+        let known = BOARDS.iter().find(|(name, _)| *name == text);
+        let unknown = || format!("unknown board `{text}`: choose odrive, pyboard, drive or can");
+        known.map(|(_, binary)| Self(binary)).ok_or_else(unknown)
     }
 }
 
@@ -74,17 +62,17 @@ impl Board {
 pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result<()> {
     let tools = setup::run(forced)?;
     let mut firmware = tools.board.board_cargo("build");
-    shell::run(firmware.args(["--bin", board.binary()]))?;
-    let elf = toolchain::elf(board.binary());
+    shell::run(firmware.args(["--bin", board.0]))?;
+    let elf = toolchain::elf(board.0);
     let bytes = shell::read(&elf)?;
     let mut sealed = bytes.clone();
     seal(&mut sealed)?;
-    write_images(&loadable(&sealed)?, board.binary())?;
-    let sealed_elf = image(board.binary(), "elf");
+    write_images(&loadable(&sealed)?, board.0)?;
+    let sealed_elf = image(board.0, "elf");
     shell::write(&sealed_elf, &sealed)?;
     println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());
     println!("      {} (likewise, with its checksum)", shown(&sealed_elf));
-    if board == Board::Odrive {
+    if board == Board::default() {
         println!("demo: {}", compared(&bytes));
     }
     if image_only {

@@ -224,7 +224,7 @@ mod tests {
         demo.toolchain = Some(Way::Debian);
         assert_eq!(request("--toolchain=debian demo"), Ok(demo));
         let mut flash = command("flash");
-        (flash.board, flash.image) = (Board::Pyboard, true);
+        (flash.board, flash.image) = ("pyboard".parse().unwrap(), true);
         assert_eq!(request("flash --image --board pyboard"), Ok(flash));
         let mut fuzz = command("fuzz");
         fuzz.runs = Some(7);
