@@ -78,27 +78,21 @@ mod tests {
     use std::io::ErrorKind;
 
     #[test]
-    fn a_pin_that_stays_high_counts_as_on() {
-        let broken = Transaction::set(State::Low).with_error(MockError::Io(ErrorKind::BrokenPipe));
-        let pin = Mock::new(&[
-            Transaction::set(State::Low),
-            Transaction::set(State::High),
-            broken,
-        ]);
-        let mut enable = TorqueEnable::new(pin).unwrap();
-        enable.on().unwrap();
-        assert!(enable.off().is_err());
-        assert!(enable.is_on());
-        enable.release().done();
-    }
-
-    #[test]
-    fn a_pin_that_stays_low_counts_as_off() {
-        let broken = Transaction::set(State::High).with_error(MockError::Io(ErrorKind::BrokenPipe));
-        let mut enable =
-            TorqueEnable::new(Mock::new(&[Transaction::set(State::Low), broken])).unwrap();
-        assert!(enable.on().is_err());
-        assert!(!enable.is_on());
-        enable.release().done();
+    fn a_pin_that_stays_counts_as_what_it_is() {
+        let [low, high] = [State::Low, State::High].map(Transaction::set);
+        let broken = |set: &Transaction| {
+            let error = MockError::Io(ErrorKind::BrokenPipe);
+            set.clone().with_error(error)
+        };
+        for (sets, on) in [
+            (vec![low.clone(), high.clone(), broken(&low)], true),
+            (vec![low.clone(), broken(&high)], false),
+        ] {
+            let mut enable = TorqueEnable::new(Mock::new(&sets)).unwrap();
+            assert_eq!(enable.on().is_ok(), on);
+            assert!(!on || enable.off().is_err());
+            assert_eq!(enable.is_on(), on);
+            enable.release().done();
+        }
     }
 }

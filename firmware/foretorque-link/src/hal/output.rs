@@ -238,6 +238,8 @@ mod tests {
         }
     }
 
+    const BROKEN: MockError = MockError::Io(std::io::ErrorKind::BrokenPipe);
+
     /// A bus that fails; the mock of the crate cannot.
     struct Gone;
 
@@ -282,10 +284,6 @@ mod tests {
             let results = commanded(&[level], &duties, &[Set::set(State::High)]);
             assert_eq!(results, [Ok(())], "{level}");
         }
-    }
-
-    #[test]
-    fn nan_puts_nothing_out() {
         let duties = [Duty::max_duty_cycle(999), Duty::set_duty_cycle(0)];
         assert_eq!(commanded(&[f32::NAN], &duties, &[]), [Ok(())]);
     }
@@ -305,27 +303,21 @@ mod tests {
 
     #[test]
     fn a_failing_direction_pin_leaves_the_width_at_zero() {
-        let broken = MockError::Io(std::io::ErrorKind::BrokenPipe);
-        let duties = [
-            Duty::max_duty_cycle(100),
-            Duty::set_duty_cycle(50),
-            Duty::max_duty_cycle(100),
-            Duty::set_duty_cycle(0),
-        ];
+        let duties = [Duty::max_duty_cycle(100), Duty::set_duty_cycle(50)];
+        let stopped = [Duty::max_duty_cycle(100), Duty::set_duty_cycle(0)];
         let pins = [
             Set::set(State::High),
-            Set::set(State::Low).with_error(broken),
+            Set::set(State::Low).with_error(BROKEN),
         ];
-        let results = commanded(&[0.5, -0.5], &duties, &pins);
+        let results = commanded(&[0.5, -0.5], &[duties, stopped].concat(), &pins);
         assert!(matches!(results[1], Err(OutputError::Direction(_))));
     }
 
     #[test]
     fn a_failing_timer_is_reported() {
-        let broken = MockError::Io(std::io::ErrorKind::BrokenPipe);
         let duties = [
             Duty::max_duty_cycle(100),
-            Duty::set_duty_cycle(50).with_error(broken),
+            Duty::set_duty_cycle(50).with_error(BROKEN),
         ];
         let results = commanded(&[0.5], &duties, &[Set::set(State::High)]);
         assert!(matches!(results[0], Err(OutputError::Pulse(_))));

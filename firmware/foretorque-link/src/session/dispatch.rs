@@ -29,7 +29,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 None => {}
                 Some(Received::Message(sequence, HostMessage::Sample(sample))) => {
                     let mailbox = &mut mailboxes.learner;
-                    let (missed, clock) = (self.protocol.link.counters.missed, &self.board.clock);
+                    let (missed, clock) = (self.protocol.counters.missed, &self.board.clock);
                     let tick = self
                         .controller
                         .sample(sequence, sample, missed, mailbox, clock, sensor);

@@ -289,7 +289,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         };
         if let Some(stored) = stored {
             let wrote = matches!(order, Order::Save);
-            let store = &mut self.protocol.link.counters.store;
+            let store = &mut self.protocol.counters.store;
             *store = store.after::<()>(wrote, &stored);
         }
         let controller = &mut self.controller;

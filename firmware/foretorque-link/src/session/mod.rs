@@ -168,26 +168,26 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Counts a missed deadline or a receive overrun of the link.
     pub fn note_overrun(&mut self) {
-        let overruns = &mut self.protocol.link.counters.overruns;
+        let overruns = &mut self.protocol.counters.overruns;
         *overruns = overruns.saturating_add(1);
     }
 
     /// Counts a reply for which the link had no space.
     pub fn note_reply_lost(&mut self) {
-        let lost = &mut self.protocol.link.counters.replies_lost;
+        let lost = &mut self.protocol.counters.replies_lost;
         *lost = lost.saturating_add(1);
     }
 
     /// Takes the owner's measurements of the link: cost of receiving one byte, and time from the end of a frame until its
     /// reply is queued.
     pub fn note_line(&mut self, receive_cost: Cost, reply_latency: Cost) {
-        let counters = &mut self.protocol.link.counters;
+        let counters = &mut self.protocol.counters;
         (counters.receive_cost, counters.reply_latency) = (receive_cost, reply_latency);
     }
 
     /// Takes the number of watchdog feeds since boot.
     pub fn note_feeds(&mut self, feeds: u32) {
-        self.protocol.link.counters.watchdog_feeds = feeds;
+        self.protocol.counters.watchdog_feeds = feeds;
     }
 
     /// Takes the counts from the first instructions to the first hello.
@@ -211,7 +211,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             hottest_c: temperatures.fold(SampleFrame::<N>::NO_TEMPERATURE, i8::max),
             implausible: self.controller.safety.implausible(),
             records_lost: self.protocol.stream.lost(),
-            ..self.protocol.link.counters
+            ..self.protocol.counters
         }
     }
 
@@ -260,7 +260,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 tick,
                 report: &self.controller.feed_forward.state().report,
                 learn_cost: mailbox.learn_cost().mean,
-                losses: self.protocol.link.losses(),
+                losses: self.protocol.losses(),
                 temperatures_c: &self.controller.temperatures_c,
             });
         }

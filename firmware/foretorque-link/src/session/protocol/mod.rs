@@ -12,6 +12,9 @@ use crate::write_key::WriteKey;
 pub(super) use telemetry::{Instant, Stream};
 pub(super) use transfer::Transfer;
 
+/// Frames whose number lies at most this far back are repeats; a number farther back means that the host restarted.
+const REPEAT_WINDOW: u16 = 16;
+
 /// Content of a frame that is to be acted on.
 pub(super) enum Received<const N: usize> {
     /// A message of the host, with its sequence number.
@@ -20,10 +23,13 @@ pub(super) enum Received<const N: usize> {
     ForeignVersion,
 }
 
-/// State of one link: decoder, sequence numbers, transfer, telemetry.
+/// State of one link: decoder, sequence numbers, counters, telemetry.
 pub(super) struct Protocol {
     decoder: Decoder,
-    pub(super) link: LinkState,
+    /// Counters of the link, and those of the owner of the session. The others are elsewhere, and zero here.
+    pub(super) counters: Statistics,
+    /// Last sequence number.
+    last: Option<u16>,
     pub(super) stream: Stream,
     /// The challenge that the next signature has to cover.
     challenge: Option<[u8; MAC_BYTES]>,
@@ -36,7 +42,8 @@ impl Protocol {
     pub(super) fn new() -> Self {
         Self {
             decoder: Decoder::new(),
-            link: LinkState::default(),
+            counters: Statistics::default(),
+            last: None,
             stream: Stream::new(),
             challenge: None,
             challenges: 0,
@@ -47,8 +54,15 @@ impl Protocol {
     /// Resets counters and telemetry; the sequence continues.
     pub(super) fn reset(&mut self) {
         self.decoder = Decoder::new();
-        self.link.reset();
         self.stream.end();
+        let owners = self.counters;
+        self.counters = Statistics {
+            receive_cost: owners.receive_cost,
+            reply_latency: owners.reply_latency,
+            watchdog_feeds: owners.watchdog_feeds,
+            store: owners.store,
+            ..Statistics::default()
+        };
     }
 
     /// Takes one byte of the link; repeats and damaged frames are counted and end here.
@@ -60,11 +74,11 @@ impl Protocol {
                 let restart = matches!(message, HostMessage::Hello);
                 // A stop or a disarming that arrives late or twice still acts.
                 let urgent = matches!(message, HostMessage::Stop | HostMessage::Disarm);
-                let forward = self.link.accept(sequence, restart) == Order::Forward;
-                (forward || urgent).then_some(Received::Message(sequence, message))
+                (self.accept(sequence, restart) || urgent)
+                    .then_some(Received::Message(sequence, message))
             }
             Err(error) => {
-                self.link.refuse(error);
+                self.refuse(error);
                 matches!(error, DecodeError::ForeignVersion(_)).then_some(Received::ForeignVersion)
             }
         }
@@ -78,7 +92,7 @@ impl Protocol {
         out: &mut FrameBuffer,
     ) {
         if out.push(sequence, message).is_err() {
-            let lost = &mut self.link.counters.replies_lost;
+            let lost = &mut self.counters.replies_lost;
             *lost = lost.saturating_add(1);
         }
     }
@@ -138,43 +152,9 @@ impl Protocol {
             _ => Err(NackReason::Key),
         }
     }
-}
 
-/// Frames whose number lies at most this far back are repeats; a number farther back means that the host restarted.
-const REPEAT_WINDOW: u16 = 16;
-
-/// Order of a frame in the host's sequence.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Order {
-    /// It is new.
-    Forward,
-    /// It, or a later one, was received before.
-    Repeated,
-}
-
-/// Counters of the board, and last sequence number of the link.
-#[derive(Clone, Copy, Debug, Default)]
-pub(in crate::session) struct LinkState {
-    /// Those of the link, and those of the owner of the session. The others are elsewhere, and zero here.
-    pub(in crate::session) counters: Statistics,
-    last: Option<u16>,
-}
-
-impl LinkState {
-    /// Resets the counters of the link; the sequence continues.
-    fn reset(&mut self) {
-        let owners = self.counters;
-        self.counters = Statistics {
-            receive_cost: owners.receive_cost,
-            reply_latency: owners.reply_latency,
-            watchdog_feeds: owners.watchdog_feeds,
-            store: owners.store,
-            ..Statistics::default()
-        };
-    }
-
-    /// Counts a good frame. `restart` restarts the sequence.
-    pub(super) fn accept(&mut self, sequence: u16, restart: bool) -> Order {
+    /// Counts a good frame; false for one that was received before, or a later one. `restart` restarts the sequence.
+    fn accept(&mut self, sequence: u16, restart: bool) -> bool {
         let counters = &mut self.counters;
         counters.frames = counters.frames.saturating_add(1);
         let step = match self.last {
@@ -183,17 +163,17 @@ impl LinkState {
         };
         if step == 0 || step > u16::MAX - REPEAT_WINDOW {
             counters.repeated = counters.repeated.saturating_add(1);
-            return Order::Repeated;
+            return false;
         }
         // A host that wraps leaves out 0, which is the board's own number.
         let left_out = u16::from(!restart && self.last.is_some_and(|last| sequence < last));
         let missed = (step - 1).saturating_sub(left_out);
         counters.missed = counters.missed.saturating_add(u32::from(missed));
         self.last = Some(sequence);
-        Order::Forward
+        true
     }
 
-    pub(super) fn refuse(&mut self, error: DecodeError) {
+    fn refuse(&mut self, error: DecodeError) {
         let counters = &mut self.counters;
         let counter = match error {
             DecodeError::Framing => &mut counters.framing_errors,
@@ -235,7 +215,7 @@ mod tests {
             (&[65535, 1, 65535, 2], (0, 1)),
             (&[30_000, 100], (35_634, 0)),
         ] {
-            let mut link = LinkState::default();
+            let mut link = Protocol::new();
             for &number in numbers {
                 link.accept(number, false);
             }
@@ -248,12 +228,9 @@ mod tests {
 
     #[test]
     fn hello_restarts_the_count() {
-        let mut link = LinkState {
-            last: Some(500),
-            ..LinkState::default()
-        };
-        assert_eq!(link.accept(498, true), Order::Forward);
-        assert_eq!(link.accept(499, false), Order::Forward);
+        let mut link = Protocol::new();
+        link.last = Some(500);
+        assert!(link.accept(498, true) && link.accept(499, false));
         assert_eq!((link.counters.missed, link.counters.repeated), (0, 0));
     }
 }
