@@ -82,7 +82,7 @@ impl Codec<'_> {
         if !self.damiao {
             let (&[id, p0, p1, v, vt, t], _) = frame.bytes().split_first_chunk()?;
             let own = u16::from(id) == self.drive.id;
-            return own.then(|| Event::Reply(measurement(ranges, [p0, p1, v, vt, t])));
+            return own.then(|| Event::Reply(measured(ranges, [p0, p1, v, vt, t])));
         }
         let data = frame.eight()?;
         let [low, high, kind, index, value @ ..] = data;
@@ -105,7 +105,7 @@ impl Codec<'_> {
         let reply = JointReply {
             temperature: Some(mosfet.max(rotor).into()),
             state: Some(state),
-            ..measurement(ranges, [p0, p1, v, vt, t])
+            ..measured(ranges, [p0, p1, v, vt, t])
         };
         Some(Event::Reply(reply))
     }
@@ -150,7 +150,7 @@ impl Codec<'_> {
             DriveState::Enabled => 1,
             DriveState::Fault(code) => code.clamp(2, 15) as u8,
         };
-        let (id, [p0, p1, v, vt, t]) = (self.drive.id as u8, measured(self.scales, reply));
+        let (id, [p0, p1, v, vt, t]) = (self.drive.id as u8, measurement(self.scales, reply));
         let celsius = reply.temperature.unwrap_or_default() as u8;
         let damiao = [status << 4 | id & 0xf, p0, p1, v, vt, t, celsius, celsius];
         let mini_cheetah = [id, p0, p1, v, vt, t];
@@ -183,7 +183,7 @@ fn unpack(data: [u8; 8]) -> [u16; 5] {
 }
 
 /// Content of a reply's five bytes: position, velocity, torque.
-fn measurement(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
+fn measured(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
     let p = u16::from_be_bytes([p0, p1]);
     let [.., v, t] = unpack([0, 0, 0, 0, 0, v, vt, t]);
     JointReply {
@@ -195,7 +195,7 @@ fn measurement(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
 }
 
 /// The five bytes of a reply.
-fn measured(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
+fn measurement(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
     let [p0, p1] = code_of(reply.position, ranges.position, FINE).to_be_bytes();
     let v = code_of(reply.velocity, ranges.velocity, COARSE);
     let t = code_of(reply.torque, ranges.torque, COARSE);
