@@ -66,7 +66,7 @@ impl Program {
         SafetyReason::from_code(reason)
     }
 
-    /// What `call` writes.
+    /// Output of `call`.
     fn written<T>(
         &self,
         call: unsafe extern "C" fn(*mut Foretorque, *mut T) -> ForetorqueStatus,

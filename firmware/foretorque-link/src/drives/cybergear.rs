@@ -32,16 +32,13 @@ fn send(kind: u32, data: u16, target: u16, bytes: [u8; 8], frames: &mut Frames) 
 }
 
 /// Eight bytes of four numbers.
-fn pack(codes: [u16; 4]) -> [u8; 8] {
-    let bits = codes
-        .into_iter()
-        .fold(0_u64, |bits, code| bits << 16 | u64::from(code));
-    bits.to_be_bytes()
+fn pack([a, b, c, d]: [u16; 4]) -> [u8; 8] {
+    let half = |high: u16, low: u16| (u32::from(high) << 16 | u32::from(low)).to_be_bytes();
+    join(half(a, b), half(c, d))
 }
 
-fn unpack(data: [u8; 8]) -> [u16; 4] {
-    let bits = u64::from_be_bytes(data);
-    [48, 32, 16, 0].map(|place| (bits >> place) as u16)
+fn unpack([a0, a1, b0, b1, c0, c1, d0, d1]: [u8; 8]) -> [u16; 4] {
+    [[a0, a1], [b0, b1], [c0, c1], [d0, d1]].map(u16::from_be_bytes)
 }
 
 /// Codec of one drive.

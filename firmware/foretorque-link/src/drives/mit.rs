@@ -169,23 +169,22 @@ impl Codec<'_> {
 }
 
 /// Bytes of position, velocity, stiffness, damping and torque.
-fn pack([p, v, kp, kd, t]: [u16; 5]) -> [u8; 8] {
-    let coarse = [v, kp, kd, t].into_iter();
-    let bits = coarse.fold(u64::from(p), |bits, code| bits << 12 | u64::from(code));
-    bits.to_be_bytes()
+fn pack(codes: [u16; 5]) -> [u8; 8] {
+    let [p, v, kp, kd, t] = codes.map(u32::from);
+    let (high, low) = (p << 16 | v << 4 | kp >> 8, kp << 24 | kd << 12 | t);
+    join(high.to_be_bytes(), low.to_be_bytes())
 }
 
-fn unpack(data: [u8; 8]) -> [u16; 5] {
-    let bits = u64::from_be_bytes(data);
-    let coarse = [36, 24, 12, 0].map(|place| (bits >> place) as u16 & COARSE);
-    let [v, kp, kd, t] = coarse;
-    [(bits >> 48) as u16, v, kp, kd, t]
+fn unpack([p0, p1, v, vk, kp, kd, kt, t]: [u8; 8]) -> [u16; 5] {
+    let high = u32::from_be_bytes([0, v, vk, kp]);
+    let low = u32::from_be_bytes([0, kd, kt, t]);
+    let [v, kp, kd, t] = [high >> 12, high, low >> 12, low].map(|code| code as u16 & COARSE);
+    [u16::from_be_bytes([p0, p1]), v, kp, kd, t]
 }
 
 /// Content of a reply's five bytes: position, velocity, torque.
 fn measured(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
-    let p = u16::from_be_bytes([p0, p1]);
-    let [.., v, t] = unpack([0, 0, 0, 0, 0, v, vt, t]);
+    let [p, .., v, t] = unpack([p0, p1, 0, 0, 0, v, vt, t]);
     JointReply {
         position: Some(from_centred(p, ranges.position, FINE)),
         velocity: Some(from_centred(v, ranges.velocity, COARSE)),
@@ -196,10 +195,10 @@ fn measured(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
 
 /// The five bytes of a reply.
 fn measurement(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
-    let [p0, p1] = code_of(reply.position, ranges.position, FINE).to_be_bytes();
+    let p = code_of(reply.position, ranges.position, FINE);
     let v = code_of(reply.velocity, ranges.velocity, COARSE);
     let t = code_of(reply.torque, ranges.torque, COARSE);
-    let [.., v, vt, t] = pack([0, 0, 0, v, t]);
+    let [p0, p1, .., v, vt, t] = pack([p, 0, 0, v, t]);
     [p0, p1, v, vt, t]
 }
 
