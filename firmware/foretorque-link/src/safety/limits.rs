@@ -106,8 +106,8 @@ const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
 pub(super) struct ThermalDerating<const N: usize> {
     /// Temperatures with hysteresis, °C; `None` is unknown, which limits nothing.
     effective_c: [Option<i8>; N],
-    /// Motors with a reading since the last look at the ages, a bit each.
-    read: u32,
+    /// Motors with a reading since the last look at the ages.
+    read: [bool; N],
     /// Periods since then.
     periods: u32,
 }
@@ -117,7 +117,7 @@ impl<const N: usize> ThermalDerating<N> {
     pub(super) const fn new() -> Self {
         Self {
             effective_c: [None; N],
-            read: 0,
+            read: [false; N],
             periods: 0,
         }
     }
@@ -130,19 +130,21 @@ impl<const N: usize> ThermalDerating<N> {
             return;
         }
         self.periods = 0;
-        let read = core::mem::take(&mut self.read);
-        for (joint, effective) in self.effective_c.iter_mut().enumerate() {
+        for (read, effective) in self.read.iter_mut().zip(&mut self.effective_c) {
             if let Some(celsius) = effective
-                && read >> (joint % 32) & 1 == 0
+                && !*read
             {
                 *celsius = OVERDUE_C.max(*celsius);
             }
+            *read = false;
         }
     }
 
     /// Takes a reading of one motor, °C. An implausible one changes nothing.
     pub(super) fn record(&mut self, joint: usize, celsius: i8) {
-        let Some(effective) = self.effective_c.get_mut(joint) else {
+        let (Some(effective), Some(read)) =
+            (self.effective_c.get_mut(joint), self.read.get_mut(joint))
+        else {
             return;
         };
         if !PLAUSIBLE_C.contains(&celsius) {
@@ -153,7 +155,7 @@ impl<const N: usize> ThermalDerating<N> {
             Some(before) => celsius.max(before.min(celsius.saturating_add(HYSTERESIS_C))),
             None => celsius,
         });
-        self.read |= 1 << (joint % 32);
+        *read = true;
     }
 
     /// Usable part of the torque limit of `joint`, 0 to 1.

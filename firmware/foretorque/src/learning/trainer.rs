@@ -8,11 +8,9 @@ use nalgebra::SVector;
 
 /// Weights of the output layer, with its bias.
 const OUTPUTS: usize = NETWORK_HIDDEN + 1;
-/// Rows of a block: 0.1 s at 167 rows a second. Residuals are correlated over tenths of a second, so blocks are the
-/// independent observations, not rows.
+/// Least rows of a block: 0.1 s at 167 rows a second. Residuals are correlated over tenths of a second, so blocks are the
+/// observations, not rows.
 const BLOCK_ROWS: u32 = 16;
-/// Least rows of a joint before a promotion: 6 s.
-const PROMOTION_ROWS: u32 = 1000;
 /// Least rows of a joint before its network is silenced.
 const HARM_ROWS: u32 = 256;
 /// Significance of a promotion, standard deviations.
@@ -105,19 +103,35 @@ impl PairedSum {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct BlockSum {
     block: f32,
+    rows: u32,
     total: PairedSum,
 }
 
 impl BlockSum {
     const ZERO: Self = Self {
         block: 0.0,
+        rows: 0,
         total: PairedSum::ZERO,
     };
 
-    fn close_block(&mut self, fade: f32) {
+    /// Add the difference `d` of a row to the open block.
+    fn add(&mut self, d: f32) {
+        self.block += d;
+        self.rows += 1;
+    }
+
+    /// Close the block as one observation if it has [`BLOCK_ROWS`]; returns the factor by which older ones fade.
+    ///
+    /// * `memory` rows after which the sums have faded to 37 %
+    fn close_block(&mut self, memory: f32) -> Option<f32> {
+        if self.rows < BLOCK_ROWS {
+            return None;
+        }
+        let fade = (1.0 - self.rows as f32 / memory).max(0.0);
         self.total.fade(fade);
         self.total.add(self.block);
-        self.block = 0.0;
+        (self.block, self.rows) = (0.0, 0);
+        Some(fade)
     }
 }
 
@@ -125,19 +139,23 @@ impl BlockSum {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct NetworkTest {
     rows: u32,
+    /// Direction of the last row.
+    is_negative: bool,
     /// Squares with the active network, with the candidate, and without network.
     active: f32,
     candidate: f32,
     silent: f32,
-    /// active² − candidate².
+    /// active² − candidate². A block is the motion between two changes of direction: what a network learns in one
+    /// direction may be what the linear parameters lack there, and is wrong in the other.
     advantage: BlockSum,
-    /// active² − silent².
+    /// active² − silent², in blocks of [`BLOCK_ROWS`].
     harm: BlockSum,
 }
 
 impl NetworkTest {
     const NONE: Self = Self {
         rows: 0,
+        is_negative: false,
         active: 0.0,
         candidate: 0.0,
         silent: 0.0,
@@ -145,26 +163,27 @@ impl NetworkTest {
         harm: BlockSum::ZERO,
     };
 
-    /// Add the squares of one row; returns true if it completes a block.
+    /// Add the squares of one row at the velocity `qd`; returns true if it completes a block of [`BLOCK_ROWS`].
     ///
     /// * `memory` rows after which the sums have faded to 37 %
-    fn add_row(&mut self, [active, candidate, silent]: [f32; 3], memory: f32) -> bool {
+    fn add_row(&mut self, qd: f32, [active, candidate, silent]: [f32; 3], memory: f32) -> bool {
+        if (qd < 0.0) != self.is_negative {
+            self.is_negative = !self.is_negative;
+            self.advantage.close_block(memory);
+        }
         self.rows += 1;
         self.active += active;
         self.candidate += candidate;
         self.silent += silent;
-        self.advantage.block += active - candidate;
-        self.harm.block += active - silent;
-        let complete = self.rows.is_multiple_of(BLOCK_ROWS);
-        if complete {
-            let fade = 1.0 - BLOCK_ROWS as f32 / memory;
-            self.advantage.close_block(fade);
-            self.harm.close_block(fade);
-            for sum in [&mut self.active, &mut self.candidate, &mut self.silent] {
-                *sum *= fade;
-            }
+        self.advantage.add(active - candidate);
+        self.harm.add(active - silent);
+        let Some(fade) = self.harm.close_block(memory) else {
+            return false;
+        };
+        for sum in [&mut self.active, &mut self.candidate, &mut self.silent] {
+            *sum *= fade;
         }
-        complete
+        true
     }
 }
 
@@ -240,6 +259,7 @@ impl<const N: usize> NetworkTrainer<N> {
             active_square
         };
         let complete = self.test.get_mut(joint)?.add_row(
+            row.qd,
             [active_square, candidate_square, silent],
             config.memory_rows,
         );
@@ -306,7 +326,6 @@ impl<const N: usize> NetworkTrainer<N> {
         let better = own.is_above(SIGNIFICANCE)
             || all.is_above(SIGNIFICANCE) && own.is_above(OWN_SIGNIFICANCE);
         let decision = if better
-            && test.rows >= PROMOTION_ROWS
             && test.candidate < PROMOTION_RATIO * test.active
             && test.candidate < test.silent
         {

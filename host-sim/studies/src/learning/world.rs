@@ -39,6 +39,8 @@ pub(super) enum Motion {
     Rich,
     /// That shape, eight times slower.
     Slow,
+    /// Slow for half of the time, then as fast as the arm may.
+    SlowThenRich,
     /// Via points for 15 s, then standstill.
     ThenStill,
     /// The second joint alone for half of the time, then all.
@@ -117,6 +119,10 @@ const SCENARIOS: &[Row] = &[
     ("slow", "slow motion from a bank", |s| {
         (s.motion, s.against_batch) = (Motion::Slow, true);
         (s.seconds, s.quick_s) = (120.0, 40.0);
+    }),
+    ("later", "slow motion from a bank, then rich motion", |s| {
+        s.motion = Motion::SlowThenRich;
+        (s.seconds, s.quick_s) = (120.0, 60.0);
     }),
     ("drift", "viscous friction grows by 30 % in a minute", |s| {
         (s.seconds, s.quick_s, s.drift_min) = (120.0, 60.0, 0.3);
@@ -267,6 +273,7 @@ impl Scenario {
         Trajectory::Via(match self.motion {
             Motion::Rich => random(seconds),
             Motion::Slow => random(seconds / 8.0).stretched(8.0),
+            Motion::SlowThenRich => random(seconds).slow_until(8.0, 0.5 * seconds),
             Motion::ThenStill => random(15.0),
             Motion::OneJointFirst => random(seconds).of_joint_until(1, 0.5 * seconds),
         })

@@ -181,6 +181,22 @@ impl<const N: usize> ViaPath<N> {
         self
     }
 
+    /// This path, `factor` times slower until `until_s`, then as fast as it was.
+    pub fn slow_until(mut self, factor: f64, until_s: f64) -> Self {
+        let path = self.clone();
+        for (k, (q, slope)) in self.via.iter_mut().enumerate() {
+            let t_s = k as f64 * path.segment_s;
+            let (at_s, factor) = if t_s <= until_s {
+                (t_s / factor, factor)
+            } else {
+                (t_s - until_s + until_s / factor, 1.0)
+            };
+            let state = path.at(at_s);
+            (*q, *slope) = (state.q, state.qd / factor);
+        }
+        self
+    }
+
     /// This path, of `joint` alone until about `alone_s`; the others wait at their start.
     pub fn of_joint_until(mut self, joint: usize, alone_s: f64) -> Self {
         let start = self.via.first().map_or(Joints::zeros(), |(q, _)| *q);

@@ -49,6 +49,9 @@ fn every_disturbance_has_its_decision() {
     let two = of(2.0, [0.05; 3]);
     let (far, light) = (1.02 * MAX_COM_DISTANCE, 0.9 * config.min_payload_mass);
     let heavy = of(1.01 * config.max_payload_mass, [0.0; 3]);
+    // A first moment without mass explains much that an empty hand does not.
+    let mut pulled = NO_PAYLOAD;
+    pulled[1] = 1.5;
     let implausible = |mass: f32| PayloadDecision::Refuse(Reason::Implausible, mass);
     let five = config.decision_blocks;
     let (warm, late) = (five, config.timeout_blocks);
@@ -60,6 +63,14 @@ fn every_disturbance_has_its_decision() {
         // Heavier by a little: another payload, not an empty hand.
         (two, of(3.0, [0.05; 3]), warm, PayloadDecision::Promote),
         (two, of(0.9, [0.05; 3]), warm, PayloadDecision::Promote),
+        // Nearly all of it is gone, and what remains is a body or none.
+        (
+            two,
+            of(1.2 * config.min_payload_mass, [0.0; 3]),
+            five,
+            PayloadDecision::Release,
+        ),
+        (two, pulled, five, PayloadDecision::Release),
         (NO_PAYLOAD, of(2.0, [far, 0.0, 0.0]), late, implausible(2.0)),
         (NO_PAYLOAD, of(2.0, [0.0, far, 0.0]), late, implausible(2.0)),
         (NO_PAYLOAD, of(2.0, [0.0, 0.0, far]), late, implausible(2.0)),
