@@ -58,6 +58,8 @@ fn blend(from: &[f32], values: &mut [f32], share: f32) {
 const SIGNIFICANCE: f32 = 2.0;
 /// Residual of both sets, standard deviations, beyond which a row counts less: an outlier fits neither.
 const CLIP: f32 = 6.0;
+/// Largest growth of a velocity range by one row, rad/s: one encoder error is no motion.
+const RANGE_STEP: f32 = 0.02;
 
 /// Evidence for the shares: sums over rows before they are learnt, faded.
 ///
@@ -72,12 +74,16 @@ const CLIP: f32 = 6.0;
 /// * rows with a large change weigh most, so a share falls fast where the estimate is wrong
 /// * a row counts in proportion to the rows of its joint before it, until the memory is full: an estimate of few rows is another one, and
 ///   its large errors are no evidence on the present one (polynomial-decay averaging [Shamir and Zhang 2013], η = 1)
+/// * the sums of a joint fade as its velocity range grows, by old over new: what slow motion or one direction has shown is no
+///   evidence on faster motion or the other direction
 ///
 /// Torques in units of the torque limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ShareEvidence<const N: usize> {
     /// Σ d r, Σ d² and rows of each joint.
     joints: [(f32, f32, u32); N],
+    /// Velocity range of each joint, backwards and forwards, rad/s.
+    range: [[f32; 2]; N],
     /// Σ y m over all joints, of measured torque y and torque m of the loaded set.
     agreement: f32,
 }
@@ -86,21 +92,25 @@ impl<const N: usize> ShareEvidence<N> {
     /// Evidence without rows.
     pub(super) const NONE: Self = Self {
         joints: [(0.0, 0.0, 0); N],
+        range: [[0.0; 2]; N],
         agreement: 0.0,
     };
 
-    /// Add a row of `joint`; a row that is not finite is ignored.
+    /// Add a row of `joint` at the velocity `qd`, rad/s; a row that is not finite is ignored.
     ///
     /// * `measured`, `loaded` torques      * `residual` of the estimate      * `sigma` standard deviation of the measurement
     /// * `fade` factor on the sums of the joint
     pub(super) fn add_row(
         &mut self,
         joint: usize,
+        qd: f32,
         [measured, loaded, residual]: [f32; 3],
         sigma: f32,
         fade: f32,
     ) {
-        let Some((cross, power, rows)) = self.joints.get_mut(joint) else {
+        let (Some((cross, power, rows)), Some([backward, forward])) =
+            (self.joints.get_mut(joint), self.range.get_mut(joint))
+        else {
             return;
         };
         let change = measured - loaded - residual;
@@ -108,12 +118,20 @@ impl<const N: usize> ShareEvidence<N> {
         let (most, both) = (CLIP * sigma, missing.abs().min(residual.abs()));
         let weight = if both > most { most / both } else { 1.0 };
         let product = weight * change * missing;
-        if !(product + measured * loaded).is_finite() {
+        if !(product + measured * loaded + qd).is_finite() {
             return;
         }
+        let widest = if qd < 0.0 { backward } else { forward };
+        let known = *widest;
+        *widest += (qd.abs() - known).clamp(0.0, RANGE_STEP);
+        let growth = if *widest > known {
+            known / *widest
+        } else {
+            1.0
+        };
         let young = fade.min(*rows as f32 / (*rows as f32 + 1.0));
-        *cross = young * *cross + product;
-        *power = young * *power + weight * change * change;
+        *cross = young * growth * *cross + product;
+        *power = young * growth * *power + weight * change * change;
         *rows = rows.saturating_add(1);
         // As long a memory, over the rows of all joints.
         self.agreement += (fade - 1.0) / N as f32 * self.agreement + measured * loaded;
@@ -164,6 +182,7 @@ mod tests {
     const FADE: f32 = 1.0 - 1.0 / 1667.0;
     const SIGMA: f32 = 0.01;
     const NOISE: f32 = 9.0 * SIGMA * SIGMA;
+    const QD: f32 = 0.01;
 
     fn none() -> ShareEvidence<2> {
         ShareEvidence::NONE
@@ -176,7 +195,7 @@ mod tests {
             let wave = (0.05 * row as f32).sin();
             let (loaded, wanted) = (0.3, 0.3 + missing * wave + noise);
             let residual = wanted - loaded - change * wave;
-            evidence.add_row(0, [wanted, loaded, residual], SIGMA, FADE);
+            evidence.add_row(0, QD, [wanted, loaded, residual], SIGMA, FADE);
         }
         evidence.share(0, NOISE)
     }
@@ -191,6 +210,31 @@ mod tests {
         assert!(after(&mut evidence, 170, -0.5, 0.0) < 0.25);
         assert_eq!(after(&mut none(), 1000, -0.1, 0.1), 0.0);
         assert_eq!(evidence.share(1, NOISE), 0.0);
+    }
+
+    #[test]
+    fn slow_motion_in_one_direction_is_no_evidence_on_faster_motion_or_the_other_direction() {
+        // Right for long, then wrong for 170 rows at another velocity.
+        let share_at = |qd: f32| {
+            let mut evidence = none();
+            after(&mut evidence, 4000, 0.1, 0.1);
+            for _ in 0..170 {
+                evidence.add_row(0, qd, [0.3, 0.3, -0.1], SIGMA, FADE);
+            }
+            evidence.share(0, NOISE)
+        };
+        let [same, faster, back] = [QD, 8.0 * QD, -QD].map(share_at);
+        assert!(
+            same > 0.75 && faster < 0.4 && back < 0.05,
+            "{same} {faster} {back}"
+        );
+        // One error of an encoder costs a part of the evidence only.
+        let mut evidence = ShareEvidence::<2>::NONE;
+        evidence.range[0] = [0.5; 2];
+        after(&mut evidence, 4000, 0.1, 0.1);
+        let (_, before, _) = evidence.joints[0];
+        evidence.add_row(0, 1e6, [0.3, 0.3, 0.0], SIGMA, FADE);
+        assert!(evidence.joints[0].1 > 0.95 * before);
     }
 
     #[test]
@@ -212,10 +256,11 @@ mod tests {
     #[test]
     fn reversed_torques_and_bad_numbers_get_nothing() {
         let mut evidence = ShareEvidence::<2>::NONE;
-        evidence.add_row(0, [f32::NAN, 1.0, 1.0], SIGMA, FADE);
-        evidence.add_row(0, [1.0, f32::INFINITY, 1.0], SIGMA, FADE);
+        evidence.add_row(0, QD, [f32::NAN, 1.0, 1.0], SIGMA, FADE);
+        evidence.add_row(0, QD, [1.0, f32::INFINITY, 1.0], SIGMA, FADE);
+        evidence.add_row(0, f32::NAN, [1.0, 1.0, 1.0], SIGMA, FADE);
         assert_eq!(evidence, ShareEvidence::NONE);
-        (0..2000).for_each(|_| evidence.add_row(0, [-0.5, 0.5, 0.0], SIGMA, FADE));
+        (0..2000).for_each(|_| evidence.add_row(0, QD, [-0.5, 0.5, 0.0], SIGMA, FADE));
         assert_eq!(evidence.share(0, NOISE), 0.0);
         assert!(evidence.is_reversed());
     }

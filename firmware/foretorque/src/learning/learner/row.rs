@@ -195,7 +195,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let memory = self.config.supervisor.share_memory_s * self.config.inv_period;
         let fade = 1.0 - N as f32 / memory;
         let evidence = &mut state.supervisor.learnt.evidence;
-        evidence.add_row(joint, torques, sigma, fade);
+        evidence.add_row(joint, row.qd, torques, sigma, fade);
         grow(&mut self.state.range, &sample.motion.qd, &sample.motion.qdd);
         RowOutcome::Accepted
     }

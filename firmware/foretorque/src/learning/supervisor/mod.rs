@@ -244,7 +244,7 @@ mod tests {
             supervisor.learnt.share.joint[1] = share;
             for _ in 0..rows {
                 let evidence = &mut supervisor.learnt.evidence;
-                evidence.add_row(1, [1.0, 0.0, 1.0], 1.0, 0.1);
+                evidence.add_row(1, 1.0, [1.0, 0.0, 1.0], 1.0, 0.1);
             }
             supervisor.state.reversed = reversed;
             supervisor.state.phase = phase;
