@@ -8,6 +8,7 @@ use std::fs;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
 
 /// All files below a directory, with their content.
 fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
@@ -152,18 +153,22 @@ fn awaited<T>(child: &mut Child, what: &str, look: impl Fn(&Child) -> Option<T>)
 fn an_interrupted_run_leaves_nothing() {
     let directory = directory("interrupted");
     let arguments = "simulate --robot ur5 --trajectory validation --out log.csv";
-    let child = command(&directory, arguments)
-        .stderr(Stdio::piped())
-        .spawn();
-    let mut child = child.expect("it starts");
-    awaited(&mut child, "no unfinished file is seen", |_| {
-        (!files(&directory).is_empty()).then_some(())
-    });
-    let id = Pid::from_raw(child.id().cast_signed());
-    kill(id, Signal::SIGINT).expect("it is ours");
-    let output = child.wait_with_output().expect("it ends");
-    assert_eq!(output.status.signal(), Some(Signal::SIGINT as i32));
-    assert!(files(&directory).is_empty(), "{:?}", files(&directory));
+    // Some of the signals come while the file is being made.
+    for delay in (0..20).map(|k| Duration::from_micros(100 * (k % 4))) {
+        let child = command(&directory, arguments)
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut child = child.expect("it starts");
+        while files(&directory).is_empty() {
+            assert!(child.try_wait().expect("it is ours").is_none(), "it ended");
+        }
+        std::thread::sleep(delay);
+        let id = Pid::from_raw(child.id().cast_signed());
+        kill(id, Signal::SIGINT).expect("it is ours");
+        let output = child.wait_with_output().expect("it ends");
+        assert_eq!(output.status.signal(), Some(Signal::SIGINT as i32));
+        assert!(files(&directory).is_empty(), "{:?}", files(&directory));
+    }
 }
 
 #[test]

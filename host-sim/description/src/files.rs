@@ -9,13 +9,14 @@ use std::sync::{Mutex, PoisonError};
 /// Unfinished versions of this process.
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Removes the unfinished versions of this process before it ends early.
-pub fn remove_unfinished() {
+/// Removes the unfinished versions of this process, then `end`s it; no other is begun meanwhile.
+pub fn remove_unfinished(end: impl FnOnce()) {
     let parts = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
     for part in parts.iter() {
         // What cannot be removed is swept by the next run.
         let _ = fs::remove_file(part);
     }
+    end();
 }
 
 /// Removes files of an earlier run from a directory of results.
@@ -118,6 +119,8 @@ impl WholeFile {
         // The process id keeps two runs that write the same file from sharing one unfinished version.
         part.push(format!("{PART}{}", std::process::id()));
         let part = PathBuf::from(part);
+        // A signal that comes while the file is being made waits until it is on the list.
+        let mut unfinished = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
         let file = loop {
             let file = File::create(&part).map_err(|error| at(target, error))?;
             // Where there are no locks, nothing is swept either.
@@ -131,10 +134,7 @@ impl WholeFile {
             let mode = before.permissions();
             fs::set_permissions(&part, mode).map_err(|error| at(target, error))?;
         }
-        UNFINISHED
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .push(part.clone());
+        unfinished.push(part.clone());
         Ok(Self {
             writer: Some(BufWriter::new(file)),
             part: Some(part),

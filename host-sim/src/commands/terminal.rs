@@ -62,8 +62,9 @@ pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
             if ends_itself && !INTERRUPTED.swap(true, Ordering::Relaxed) {
                 continue;
             }
-            foretorque_workbench::files::remove_unfinished();
-            let _ = emulate_default_handler(signal);
+            foretorque_workbench::files::remove_unfinished(|| {
+                let _ = emulate_default_handler(signal);
+            });
         }
     });
     Ok(())
