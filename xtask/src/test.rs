@@ -85,8 +85,10 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         Ok(())
     }));
     outcomes.push(pass("fuzzing", fuzz::gate));
+    // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
     let mut docs = command("cargo");
     docs.args(["doc", "--workspace", "--no-deps"])
+        .args(["--lib", "--bins", "--examples"])
         .env("RUSTDOCFLAGS", "-D warnings");
     outcomes.push(pass("docs", || shell::run(&mut docs)));
 
