@@ -1,8 +1,10 @@
 use crate::joint::{JointMeasurement, JointMotion, JointVector, zero_vector};
 
-/// Length of the motion filter, ticks.
+/// Length of the motion filter, samples; a sample is the mean of [`LearnerConfig::decimation`] ticks.
+///
+/// [`LearnerConfig::decimation`]: crate::learning::LearnerConfig::decimation
 pub const TAPS: usize = 31;
-/// Delay of the motion filter, ticks: its output describes the middle of the window.
+/// Delay of the motion filter, samples: its output describes the middle of the window.
 pub const DELAY: usize = TAPS / 2;
 
 // Sums over the window k = −DELAY … DELAY that the quadratic fit needs: Σ1, Σk², Σk⁴.
@@ -20,24 +22,27 @@ const ATTENUATION_END: f32 = 33.2;
 /// 30 µrad at 10 rad/s² and 1 kHz, less than the steps of most encoders.
 pub const MAX_BRIDGED: usize = 4;
 
-/// Torque samples averaged around the middle of the window.
+/// Torques averaged around the middle of the window, ticks: five, or the odd number of samples next to it.
 ///
-/// A joint has one row in N ticks. With six joints a mean of five uses nearly all samples, for the price of one row. Over ±2 ticks the torque is a straight line. Cogging is not: it loses a tenth of its amplitude at 1.5 rad/s and
-/// 202 cycles a turn.
+/// A joint has one row in N ticks. With six joints a mean of five or six uses nearly all torques, for the price of one row. Over ±3 ticks
+/// the torque is a straight line. Cogging is not: it loses a tenth of its amplitude at 1.5 rad/s and 202 cycles a turn.
 pub(super) const AVERAGED: usize = 5;
 /// Torques stored, so that they are delayed as much as the motion.
 const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 
-/// Motion and torque of the same instant, `DELAY` ticks ago.
+/// Motion and torque of the same instant, `DELAY` samples ago.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConditionedSample<const N: usize> {
     /// Position, velocity and acceleration of the fitted quadratic.
     pub motion: JointMotion<N>,
-    /// Mean of five torques around that instant; noise of means without common samples is white.
+    /// Mean of the torques around that instant; noise of means without common samples is white.
     pub tau: JointVector<N>,
 }
 
-/// Motion filter: the last `TAPS` measurements, one for each tick.
+/// Motion filter: the last `TAPS` samples, each the mean of `decimation` ticks.
+///
+/// Its length is a time, not a number of ticks: arms with elastic gears are rigid bodies at some Hz only.
+/// Motion and torque are averaged alike, so both belong to the same instant.
 ///
 /// A missing measurement is a gap. An exact copy of the measurement before is one too: the new measurement is late. The
 /// first measurement after a gap may belong to a tick in the gap, so it is dropped: a position shifted by one tick bends
@@ -51,8 +56,15 @@ pub struct MeasurementWindow<const N: usize> {
     next: usize,
     filled: usize,
     torque_next: usize,
-    /// One bit a tick, newest lowest: set if measured, clear if bridged.
+    /// One bit a sample, newest lowest: set if measured, clear if bridged.
     measured: u32,
+    /// Ticks of a sample, and those in the sample in progress.
+    decimation: u32,
+    ticks: u32,
+    /// Sum over the sample in progress; true if all of it is measured.
+    sum: (JointMeasurement<N>, bool),
+    /// Measurement of the last tick, accepted or bridged.
+    last: JointMeasurement<N>,
     /// Last measurement, accepted or not.
     newest: Option<JointMeasurement<N>>,
     /// Ticks since the last accepted measurement.
@@ -60,8 +72,12 @@ pub struct MeasurementWindow<const N: usize> {
 }
 
 impl<const N: usize> MeasurementWindow<N> {
-    /// Empty window.
-    pub const fn new() -> Self {
+    /// Empty window of samples of `decimation` ticks, from 1 on.
+    pub const fn new(decimation: u32) -> Self {
+        let zero = JointMeasurement {
+            q: zero_vector(),
+            tau: zero_vector(),
+        };
         Self {
             q: [[0.0; 2 * TAPS]; N],
             tau: [zero_vector(); TORQUES],
@@ -69,6 +85,10 @@ impl<const N: usize> MeasurementWindow<N> {
             filled: 0,
             torque_next: 0,
             measured: 0,
+            decimation,
+            ticks: 0,
+            sum: (zero, false),
+            last: zero,
             newest: None,
             gap: 0,
         }
@@ -77,13 +97,37 @@ impl<const N: usize> MeasurementWindow<N> {
     /// Discard all measurements.
     pub fn reset(&mut self) {
         self.filled = 0;
+        self.ticks = 0;
         self.gap = 0;
         self.newest = None;
+    }
+
+    /// Discard all measurements; samples are of `decimation` ticks from now on.
+    pub(super) fn restart(&mut self, decimation: u32) {
+        self.decimation = decimation;
+        self.reset();
+    }
+
+    /// True before the first measurement.
+    fn is_empty(&self) -> bool {
+        self.filled == 0 && self.ticks == 0
     }
 
     /// True if every tick is measured or bridged; a gap at the end may still be open.
     pub fn is_full(&self) -> bool {
         self.filled == TAPS
+    }
+
+    /// True if the joints can be at `q` in the next tick: an encoder error is not.
+    ///
+    /// * `steps` largest change of each joint in a tick, rad
+    pub(super) fn reaches(&self, q: &JointVector<N>, steps: impl Iterator<Item = f32>) -> bool {
+        let ticks = (self.gap + 1) as f32;
+        let changes = q.iter().zip(&self.last.q).map(|(q, last)| (q - last).abs());
+        self.is_empty()
+            || changes
+                .zip(steps)
+                .all(|(change, step)| change <= step * ticks)
     }
 
     /// Append the measurement of the next tick; `None` or a number that is not finite is a gap.
@@ -92,13 +136,13 @@ impl<const N: usize> MeasurementWindow<N> {
     pub fn push(&mut self, measured: Option<&JointMeasurement<N>>) {
         let arrived = measured.copied().filter(is_finite);
         let before = core::mem::replace(&mut self.newest, arrived);
-        let follows = self.filled == 0 || before.is_some();
+        let follows = self.is_empty() || before.is_some();
         let accepted = arrived.filter(|arrived| follows && before.as_ref() != Some(arrived));
         let Some(measured) = accepted else {
             // After a copy the next measurement may be late as well.
             self.newest = self.newest.filter(|_| !follows);
             self.gap += 1;
-            if self.filled == 0 || self.gap > MAX_BRIDGED {
+            if self.is_empty() || self.gap > MAX_BRIDGED {
                 self.reset();
             }
             return;
@@ -113,12 +157,7 @@ impl<const N: usize> MeasurementWindow<N> {
         if steps == 1 {
             return;
         }
-        let newest = (self.next + TAPS - 1) % TAPS;
-        let mut between = *end;
-        for (start, q) in between.q.iter_mut().zip(&self.q) {
-            *start = q.get(newest).copied().unwrap_or(*start);
-        }
-        between.tau = self.tau[(self.torque_next + TORQUES - 1) % TORQUES];
+        let mut between = self.last;
         let part = 1.0 / steps as f32;
         let (q, tau) = ((end.q - between.q) * part, (end.tau - between.tau) * part);
         for _ in 1..steps {
@@ -128,32 +167,52 @@ impl<const N: usize> MeasurementWindow<N> {
         }
     }
 
+    /// Add the measurement of a tick to the sample in progress; the last one completes it.
     fn append(&mut self, measurement: &JointMeasurement<N>, measured: bool) {
-        for (q, &value) in self.q.iter_mut().zip(measurement.q.as_slice()) {
+        self.last = *measurement;
+        if self.ticks == 0 {
+            self.sum = (*measurement, measured);
+        } else {
+            self.sum.0.q += measurement.q;
+            self.sum.0.tau += measurement.tau;
+            self.sum.1 &= measured;
+        }
+        self.ticks += 1;
+        if self.ticks >= self.decimation {
+            self.complete_sample();
+        }
+    }
+
+    /// Append the mean of the sample in progress.
+    fn complete_sample(&mut self) {
+        let (sum, measured) = self.sum;
+        let part = 1.0 / self.ticks as f32;
+        self.ticks = 0;
+        for (q, &sum) in self.q.iter_mut().zip(sum.q.as_slice()) {
             let (first, second) = q.split_at_mut(TAPS);
             for half in [first, second] {
                 if let Some(slot) = half.get_mut(self.next) {
-                    *slot = value;
+                    *slot = part * sum;
                 }
             }
         }
         self.next = (self.next + 1) % TAPS;
-        self.tau[self.torque_next % TORQUES] = measurement.tau;
+        self.tau[self.torque_next % TORQUES] = sum.tau * part;
         self.torque_next = (self.torque_next + 1) % TORQUES;
         self.measured = self.measured << 1 | u32::from(measured);
         self.filled = (self.filled + 1).min(TAPS);
     }
 
-    /// Motion and torque `DELAY` ticks ago; `None` in a gap, or where the torque is missing.
+    /// Motion and torque `DELAY` samples ago; `None` in a gap, or where the torque is missing.
     ///
-    /// Least-squares quadratic through the window, at its middle, with `k` in ticks and `y_k = q_k − q_0`:
+    /// Least-squares quadratic through the window, at its middle, with `k` in samples of length T and `y_k = q_k − q_0`:
     /// ```text
     /// qd  = Σ k y_k / Σk² / T      qdd = 2 Σ (k² − Σk²/Σ1) y_k / (Σk⁴ − (Σk²)²/Σ1) / T²
     /// q   = q_0 + (Σ y_k − Σk² · qdd T²/2) / Σ1
     /// ```
     /// [Savitzky and Golay 1964]. The centre is subtracted first: differences of neighbouring positions are exact in f32.
     ///
-    /// * `inv_period` 1/T, 1/s      * returns rad, rad/s, rad/s², N·m
+    /// * `inv_period` ticks per second, 1/s      * returns rad, rad/s, rad/s², N·m
     ///
     /// Cost: `5 · DELAY` multiply-adds a joint.
     #[inline(never)]
@@ -162,6 +221,7 @@ impl<const N: usize> MeasurementWindow<N> {
         if self.filled < TAPS || self.gap > 0 || !known {
             return None;
         }
+        let inv_period = inv_period / self.decimation as f32;
         let mut motion = JointMotion::<N>::zero();
         for (joint, q) in self.q.iter().enumerate() {
             // After a push `next` is the slot of the oldest measurement.
@@ -171,29 +231,27 @@ impl<const N: usize> MeasurementWindow<N> {
             *motion.qd.get_mut(joint)? = slope * inv_period;
             *motion.qdd.get_mut(joint)? = curvature * inv_period * inv_period;
         }
-        // After a push `torque_next` is the slot of the oldest torque.
+        // After a push `torque_next` is the slot of the oldest torque, `AVERAGED / 2` before the middle of the window.
+        let reach = ((AVERAGED / 2) as u32).checked_div(self.decimation);
+        let reach = reach.unwrap_or_default();
         let mut tau = JointVector::zeros();
         for age in 0..AVERAGED {
-            tau += self.tau[(self.torque_next + age) % TORQUES];
+            if (age as u32).abs_diff((AVERAGED / 2) as u32) <= reach {
+                tau += self.tau[(self.torque_next + age) % TORQUES];
+            }
         }
-        tau *= 1.0 / AVERAGED as f32;
+        tau *= 1.0 / (2 * reach + 1) as f32;
         Some(ConditionedSample { motion, tau })
     }
 }
 
-impl<const N: usize> Default for MeasurementWindow<N> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// Gain of the motion filter for cogging in the acceleration, at a cogging phase of `angle` rad a tick.
+/// Gain of the motion filter for cogging in the acceleration, at a cogging phase of `angle` rad a sample.
 ///
 /// ```text
 /// 15 j₂(x)/x² = 1 − x²/14 (1 − x²/36 (1 − x²/66 (1 − x²/104 (1 − x²/150 …)))),   x = angle · TAPS/2
 /// ```
 /// Second derivative of the quadratic fitted to a sine over ±x, over that of the sine; j₂ is the spherical Bessel
-/// function, zero at 5.763. The gain of the 31 taps lies within 0.01 of it. It is 0 beyond that zero, 59 Hz at 1 kHz.
+/// function, zero at 5.763. The gain of the 31 taps lies within 0.01 of it. It is 0 beyond that zero, 30 Hz with samples of 2 ms.
 pub fn cogging_attenuation(angle: f32) -> f32 {
     let half = angle * (0.5 * TAPS as f32);
     let y = half * half;

@@ -9,6 +9,9 @@ use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
 /// Time in which friction changes by its prior standard deviation with temperature, grease and wear, s: 17 hours.
 const FRICTION_CHANGE_S: f32 = 6e4;
 
+/// Length of a sample of the motion filter, s.
+const SAMPLE_S: f32 = 2e-3;
+
 /// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerConfig<const N: usize, const P: usize> {
@@ -18,6 +21,13 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub noise: f32,
     /// Bound of an innovation, standard deviations; larger ones count as this many.
     pub outlier_sigmas: f32,
+    /// Factor on the noise of a row in the update of the estimate, because rows are correlated: the least of real arms with
+    /// 6 joints. The measured correlation is no measure of it: errors of the estimate are correlated, too. They would
+    /// count as noise where the prior is too narrow, slow the estimate down, and so last.
+    pub noise_inflation: f32,
+    /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long, but no more than
+    /// there are joints, so that no joint uses a sample twice.
+    pub decimation: u32,
     /// Time over which residuals are correlated at most, s: tenths of a second on real arms. Length of a block of rows that
     /// counts as one observation.
     pub correlation_s: f32,
@@ -56,6 +66,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             inv_period: 1.0 / period_s,
             noise: 0.01,
             outlier_sigmas: 3.0,
+            noise_inflation: 3.0,
+            decimation: ((SAMPLE_S / period_s + 0.5) as u32).clamp(1, N as u32),
             correlation_s: 0.5,
             process_noise: N as f32 * period_s / FRICTION_CHANGE_S,
             torque_step: 0.005,
@@ -91,6 +103,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("velocity_gate", self.velocity_gate),
             ("acceleration_limit", self.acceleration_limit),
             ("outlier_sigmas", self.outlier_sigmas),
+            ("noise_inflation", self.noise_inflation),
+            ("decimation", self.decimation as f32),
             ("correlation_s", self.correlation_s),
             ("process_noise", self.process_noise),
             ("torque_step", self.torque_step),

@@ -97,7 +97,7 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
 ///   Nothing is forgotten exponentially
 /// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
-/// * ρ: correlation of rows, from batch means, mean of all joints; the update of P has ρ R in place of R
+/// * ρ: [`noise_inflation`](LearnerConfig::noise_inflation); the update of P has ρ R in place of R
 /// * k: innovations beyond it count as k [Huber 1964]
 ///
 /// Each row ends at the most likely estimate within the sign bounds of the joint's friction. Nothing else bounds the estimate; the tick bounds the
@@ -228,14 +228,6 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             .map_or(1.0, NoiseCorrelation::factor)
     }
 
-    /// Inflation of the noise of the next row: mean correlation factor of all joints.
-    ///
-    /// The factor slows the covariance down. Weights between joints stay those of the variances, as in batch least squares:
-    /// a factor of each joint would take the weight from heavy joints, whose model error lasts, and give it to light ones.
-    pub fn inflation(&self) -> f32 {
-        NoiseCorrelation::pooled(&self.correlation)
-    }
-
     /// Update with the torque `tau` of `joint`, N·m, and its `row`.
     ///
     /// * `limit` torque limit of the joint, N·m
@@ -267,7 +259,6 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let sigma = &config.sigma;
         let expected = row.friction_dot(joint, &self.parameters) + row.rigid_dot(&self.parameters);
         let innovation = (tau - expected) * inv_noise;
-        let inflation = self.inflation();
         let measured = self.variance.get_mut(joint)?;
         let effective_rows = self.effective_rows.get_mut(joint)?;
         if !innovation.is_finite() {
@@ -290,7 +281,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = LinearParameters::filled(0.0);
         let correlation = self.correlation.get_mut(joint)?;
-        let inflated = inflation * *measured;
+        let inflated = config.noise_inflation * *measured;
         let total = self.filter.update_joint(joint, &phi, inflated, &mut gain);
         let variance = total - inflated + *measured;
         if !(variance > 0.0 && variance.is_finite()) {

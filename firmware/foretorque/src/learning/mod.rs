@@ -55,7 +55,7 @@
 //! * relearning: the variance of friction is raised; the torque stays as it is.
 //!
 //! A saturated torque, an unbridged gap or a number that is not finite freezes learning in every state (13 to 15); it
-//! resumes 31 ticks after the last cause (17).
+//! resumes one length of the motion filter, 62 ms, after the last cause (17).
 
 mod change_detection;
 mod conditioning;

@@ -127,7 +127,7 @@ impl<const N: usize> Bench<N> {
             alarms: 0,
             weighed: Vec::new(),
             curve: Vec::new(),
-            rows: Rows::new(),
+            rows: Rows::new(LearnerConfig::<N, P>::for_arm::<A>(PERIOD_S as f32).decimation),
             armed: true,
         };
         let (mut acting, mut decided, mut mass) = (Joints::zeros(), 0.0, 0.0);
@@ -237,9 +237,10 @@ struct Sums {
 }
 
 impl<const N: usize> Rows<N> {
-    pub(super) fn new() -> Self {
+    /// No rows; a sample of the filter is `decimation` ticks.
+    pub(super) fn new(decimation: u32) -> Self {
         Self {
-            window: MeasurementWindow::new(),
+            window: MeasurementWindow::new(decimation),
             ticks: 0,
             rows: Vec::new(),
         }

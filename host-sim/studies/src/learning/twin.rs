@@ -81,15 +81,7 @@ impl Twin {
 
     /// Takes in the torque `tau` of `joint` with its row, as the estimator does:
     /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(e) / S`, then the bounds by way of P.
-    ///
-    /// * `inflation` of the row's noise, as the estimator measured it
-    pub(super) fn correct(
-        &mut self,
-        joint: usize,
-        row: &LinearParameters<N, P>,
-        tau: f32,
-        inflation: f32,
-    ) {
+    pub(super) fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
         let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
         let unit = f64::from(self.config.noise * limit);
         let raw = wide(row);
@@ -105,7 +97,8 @@ impl Twin {
         *turn = (*turn + 1) % columns;
         let spread = &self.covariance * &phi;
         let s = phi.dot(&spread) + self.variance[joint];
-        let total = phi.dot(&spread) + f64::from(inflation) * self.variance[joint];
+        let total =
+            phi.dot(&spread) + f64::from(self.config.noise_inflation) * self.variance[joint];
         self.covariance.ger(-1.0 / total, &spread, &spread, 1.0);
         let z = innovation / s.sqrt();
         let (variance, noticed) = (&mut self.variance[joint], &mut self.noticed[joint]);
@@ -166,7 +159,7 @@ pub(super) fn twin(
     let config = LearnerConfig::<N, P>::for_arm::<Ur5>(PERIOD_S as f32);
     let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
     let mut twin = Twin::new(config, prior);
-    let mut window = MeasurementWindow::<N>::new();
+    let mut window = MeasurementWindow::<N>::new(config.decimation);
     let (mut worst, mut rows) = (0.0_f64, 0);
     for (tick, sample) in samples.enumerate() {
         let sample = SampleFrame::new(&sample).sample(&[0.0; N]);
@@ -177,10 +170,9 @@ pub(super) fn twin(
         {
             let row = torque_row::<Ur5, N, P>(joint, &seen);
             let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
-            let inflation = estimator.inflation();
             let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
             if taken.is_some() {
-                twin.correct(joint, &row, seen.tau[joint], inflation);
+                twin.correct(joint, &row, seen.tau[joint]);
                 rows += 1;
             }
         }

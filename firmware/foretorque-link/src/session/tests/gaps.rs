@@ -7,6 +7,9 @@ use foretorque::feedforward::Torque;
 use foretorque::learning::{Exchange, MAX_BRIDGED, TAPS};
 use proptest::prelude::*;
 
+/// Length of the motion filter at 1 kHz, ticks.
+const FILTER: u32 = 2 * TAPS as u32;
+
 /// The ticks of an armed board that its timer paces, made of its parts without link and session.
 struct Timed {
     safety: Safety<N>,
@@ -157,7 +160,7 @@ fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
     let mut linked = Linked::armed();
     assert!(linked.accepted(0..200) > 0);
     (0..20).for_each(|_| linked.lose());
-    assert_eq!(linked.accepted(220..219 + TAPS as u32), 0);
+    assert_eq!(linked.accepted(220..219 + FILTER), 0);
 }
 
 #[test]
@@ -177,7 +180,7 @@ fn after_a_hello_the_window_is_empty() {
     let mut linked = Linked::armed();
     assert!(linked.accepted(0..100) > 0);
     linked.board.request(HostMessage::Hello);
-    assert_eq!(linked.accepted(100..99 + TAPS as u32), 0);
+    assert_eq!(linked.accepted(100..99 + FILTER), 0);
 }
 
 proptest! {

@@ -21,7 +21,7 @@ fn the_sums_are_those_of_the_window() {
 fn a_quadratic_is_read_exactly_with_its_torque() {
     let period = 1e-3f64;
     let (q0, qd0, qdd0) = (5.5, -1.7, 9.0);
-    let mut window = MeasurementWindow::<2>::new();
+    let mut window = MeasurementWindow::<2>::new(1);
     for tick in 0..200 {
         let t = f64::from(tick) * period;
         let q = q0 + qd0 * t + 0.5 * qdd0 * t * t;
@@ -47,9 +47,31 @@ fn a_quadratic_is_read_exactly_with_its_torque() {
 }
 
 #[test]
+fn a_sample_of_several_ticks_is_their_mean_and_belongs_to_its_middle() {
+    for decimation in [1u32, 2, 4] {
+        let mut window = MeasurementWindow::<2>::new(decimation);
+        let mut rows = 0;
+        for tick in 0..400 {
+            let t = 1e-3 * tick as f32;
+            window.push(Some(&at(2.0 * t * t, tick as f32)));
+            let Some(seen) = window.conditioned(1e3) else {
+                assert!(tick < 31 * decimation, "{decimation}: {tick}");
+                continue;
+            };
+            rows += 1;
+            // Motion and torque are of the same instant, whatever the delay.
+            let then = 1e-3 * seen.tau[0];
+            assert!((seen.motion.qd[0] - 4.0 * then).abs() < 2e-3);
+            assert!((seen.motion.qdd[0] - 4.0).abs() < 0.05);
+        }
+        assert!(rows > 250, "{rows}");
+    }
+}
+
+#[test]
 fn cogging_passes_the_filter_with_the_stated_gain() {
     for angle in [0.01f32, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.6] {
-        let mut window = MeasurementWindow::<2>::new();
+        let mut window = MeasurementWindow::<2>::new(1);
         for tick in 0..TAPS {
             let phase = angle * (tick as f32 - DELAY as f32);
             window.push(Some(&at(phase.cos(), tick as f32)));
@@ -67,7 +89,7 @@ fn cogging_passes_the_filter_with_the_stated_gain() {
 
 #[test]
 fn another_period_scales_the_derivatives() {
-    let mut window = MeasurementWindow::<2>::new();
+    let mut window = MeasurementWindow::<2>::new(1);
     for tick in 0..40 {
         window.push(Some(&at(0.001 * tick as f32, 0.0)));
     }
@@ -84,7 +106,7 @@ fn swinging(tick: usize) -> JointMeasurement<2> {
 fn outputs(
     arrives: impl Fn(usize) -> Option<JointMeasurement<2>>,
 ) -> std::vec::Vec<Option<ConditionedSample<2>>> {
-    let mut window = MeasurementWindow::<2>::new();
+    let mut window = MeasurementWindow::<2>::new(1);
     let ticks = 0..200;
     ticks
         .map(|tick| {
@@ -147,7 +169,7 @@ fn measurements_that_come_late_bend_no_row() {
 
 #[test]
 fn a_long_gap_empties_the_window() {
-    let mut window = MeasurementWindow::<2>::new();
+    let mut window = MeasurementWindow::<2>::new(1);
     for tick in 0..50 {
         window.push(Some(&swinging(tick)));
     }

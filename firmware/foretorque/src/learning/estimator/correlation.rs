@@ -50,16 +50,6 @@ impl NoiseCorrelation {
         if factor > 1.0 { factor } else { 1.0 }
     }
 
-    /// Mean factor of `joints`, weighted by their blocks.
-    pub(super) fn pooled(joints: &[Self]) -> f32 {
-        let (mut sum, mut blocks) = (0.0, 0.0);
-        for joint in joints {
-            sum += joint.blocks * joint.factor();
-            blocks += joint.blocks;
-        }
-        sum / blocks
-    }
-
     /// Add an innovation `z`, finite, in standard deviations; a block has `length` rows.
     ///
     /// * `noise_part` part of its expected variance that is noise, 0 to 1

@@ -72,7 +72,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         // Cogging removed by the motion filter is in the torque as far as the active set commands it.
         let active = drives.iter_mut().zip(&state.active.friction);
         for (joint, ((drive, active), &qd)) in active.zip(sample.motion.qd.as_slice()).enumerate() {
-            let gain = joint_attenuation::<A, N, P>(joint, qd, self.config.inv_period);
+            let gain = joint_attenuation::<A, N, P>(&self.config, joint, qd);
             for column in COGGING_COLUMNS {
                 let active = active[column];
                 drive[column] = active + gain * (drive[column] - active);

@@ -128,7 +128,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 snapshot: None,
                 commit_due: false,
                 restored: false,
-                window: MeasurementWindow::new(),
+                window: MeasurementWindow::new(config.decimation),
                 next_tick: 0,
                 closed_round: None,
                 generation: None,
@@ -168,7 +168,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.config = config;
         self.state.statistics = LearnerStatistics::NONE;
         self.state.report = LearnerReport::new();
-        self.state.window.reset();
+        self.state.window.restart(config.decimation);
         self.state.next_tick = 0;
         self.state.generation = None;
         self.start_from(prior, start);
@@ -231,7 +231,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             self.state.window.reset();
         }
         self.state.next_tick = LearningSample::<N>::tick_after(sample.tick);
-        self.state.window.push(sample.measured.as_ref());
+        // Twice the velocity limit, over a whole sample: steps of a coarse encoder are no errors.
+        let sample_s = self.config.decimation as f32 / self.config.inv_period;
+        let steps = A::limits()
+            .iter()
+            .map(|limits| 2.0 * limits.velocity * sample_s);
+        let window = &mut self.state.window;
+        let measured = sample.measured.as_ref();
+        window.push(measured.filter(|measured| window.reaches(&measured.q, steps)));
         let joint = sample.tick as usize % N;
         let mut step = None;
         let prepared = self.state.estimate.add_prior_factors::<A>();

@@ -5,6 +5,7 @@ use crate::arm::Arm;
 use crate::dynamics::Pose;
 use crate::joint::JointVector;
 use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
+use crate::learning::config::LearnerConfig;
 use crate::learning::decision::Reason;
 use crate::learning::estimator::torque_row_at;
 use crate::learning::exchange::MotionRange;
@@ -170,7 +171,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             return RowOutcome::Rejected;
         };
         let mut columns = *row.columns;
-        let gain = joint_attenuation::<A, N, P>(joint, row.qd, self.config.inv_period);
+        let gain = joint_attenuation::<A, N, P>(&self.config, joint, row.qd);
         let commanded = columns.attenuate_cogging(gain, active);
         let tau = row.tau - row.payload - commanded;
         let estimate = &mut state.estimate;
@@ -237,12 +238,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
 /// Gain of the motion filter for the cogging of `joint` at the velocity `qd`, rad/s.
 pub(super) fn joint_attenuation<A: Arm<N, P>, const N: usize, const P: usize>(
+    config: &LearnerConfig<N, P>,
     joint: usize,
     qd: f32,
-    inv_period: f32,
 ) -> f32 {
     let cycles = A::cogging_cycles().get(joint).copied().unwrap_or(0.0);
-    cogging_attenuation(cycles * qd / inv_period)
+    cogging_attenuation(cycles * qd * config.decimation as f32 / config.inv_period)
 }
 
 /// Extend `range` towards the motion of a used row.

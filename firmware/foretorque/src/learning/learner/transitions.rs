@@ -47,7 +47,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.record(sample.tick, reason, None, 0.0);
             }
             state.frozen = Some(reason);
-            state.resume_in = TAPS as u32;
+            state.resume_in = TAPS as u32 * self.config.decimation;
         } else if state.frozen.is_some() {
             state.resume_in = state.resume_in.saturating_sub(1);
             if state.resume_in == 0 {
