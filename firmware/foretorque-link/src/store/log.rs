@@ -149,7 +149,7 @@ impl<F: NorFlash> Store<F> {
 
     /// Writes one slot, the header last: without it there is no record.
     fn write(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<(), StoreError> {
-        for (place, piece) in places(slot).skip(1).zip(bank.chunks(PIECE)) {
+        for (place, piece) in places(slot, 1).zip(bank.chunks(PIECE)) {
             let mut padded = [0xFF; PIECE];
             copy(&mut padded, piece);
             let length = piece.len().next_multiple_of(F::WRITE_SIZE);
@@ -173,7 +173,7 @@ impl<F: NorFlash> Store<F> {
     /// True if the slot reads back as written.
     fn is_kept(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<bool, StoreError> {
         let mut kept = self.piece(slot * SLOT_BYTES)? == header.to_bytes();
-        for (place, piece) in places(slot).skip(1).zip(bank.chunks(PIECE)) {
+        for (place, piece) in places(slot, 1).zip(bank.chunks(PIECE)) {
             kept &= self.piece(place)?.starts_with(piece);
         }
         Ok(kept)
@@ -183,7 +183,7 @@ impl<F: NorFlash> Store<F> {
     fn is_whole(&mut self, record: Record) -> Result<bool, StoreError> {
         let mut crc = CRC.digest();
         let mut left = record.header.length as usize;
-        for place in places(record.slot).skip(1) {
+        for place in places(record.slot, 1) {
             let length = left.min(PIECE);
             if length == 0 {
                 break;
@@ -198,7 +198,7 @@ impl<F: NorFlash> Store<F> {
     fn read(&mut self, record: Record, buffer: &mut [u8]) -> Result<(), StoreError> {
         let set = buffer.get_mut(..record.header.length as usize);
         let parts = set.unwrap_or_default().chunks_mut(PIECE);
-        for (place, part) in places(record.slot).skip(1).zip(parts) {
+        for (place, part) in places(record.slot, 1).zip(parts) {
             copy(part, &self.piece(place)?);
         }
         Ok(())
@@ -254,7 +254,7 @@ impl<F: NorFlash> Store<F> {
 
     /// True if every byte of the slot is blank.
     fn is_blank(&mut self, slot: u32) -> Result<bool, StoreError> {
-        for place in places(slot) {
+        for place in places(slot, 0) {
             if self.piece(place)? != [0xFF; PIECE] {
                 return Ok(false);
             }
@@ -275,7 +275,8 @@ impl<F: NorFlash> Store<F> {
     }
 }
 
-/// Places of the pieces of a slot, its header first.
-fn places(slot: u32) -> impl Iterator<Item = u32> {
-    (slot * SLOT_BYTES..(slot + 1) * SLOT_BYTES).step_by(PIECE)
+/// Places of the pieces of a slot from number `first` on; number 0 is its header.
+fn places(slot: u32, first: u32) -> impl Iterator<Item = u32> {
+    let start = slot * SLOT_BYTES + first * PIECE as u32;
+    (start..(slot + 1) * SLOT_BYTES).step_by(PIECE)
 }
