@@ -90,7 +90,7 @@ pub(crate) fn spread(spread: &Spread) -> String {
     )
 }
 
-/// `bench.json`. Neither the peers' names nor rustc's version line have quotes or backslashes.
+/// `bench.json`. Rustc's version line has no quotes or backslashes; goals and peers are in the budget.
 pub(crate) fn json(
     toolchain: &str,
     rows: &[Row],
@@ -98,26 +98,15 @@ pub(crate) fn json(
     memory: &Memory,
     budget: &Budget,
 ) -> String {
-    let anchor = |line: Option<&Line>| {
-        let peer = line.and_then(|line| Some((line.peer?, &line.who)));
-        format!(
-            "{{\"reach\": {}, \"peer\": {}, \"who\": {}}}",
-            or(line.and_then(|line| line.reach), "null"),
-            or(peer.map(|(value, _)| value), "null"),
-            or(peer.map(|(_, who)| format!("\"{who}\"")), "null")
-        )
-    };
     let rows = rows.iter().map(|row| {
-        let [instructions, cycles] = row.quantities().map(|quantity| budget.line(&quantity));
+        let [instructions, _] = row.quantities();
+        let line = budget.line(&instructions);
         format!(
-            "    {{\"name\": \"{}\", \"instructions\": {:.1}, \"cycles_est\": {:.0}, \"limit_instructions\": {},\n     \
-             \"anchor_instructions\": {},\n     \"anchor_cycles_est\": {}}}",
+            "    {{\"name\": \"{}\", \"instructions\": {:.1}, \"cycles_est\": {:.0}, \"limit_instructions\": {}}}",
             row.name,
             row.instructions,
             row.cycles,
-            or(instructions.map(|line| line.limit), "null"),
-            anchor(instructions),
-            anchor(cycles)
+            or(line.map(|line| line.limit), "null")
         )
     });
     format!(
