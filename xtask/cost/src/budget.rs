@@ -235,6 +235,8 @@ mod tests {
     fn the_page_is_the_table() {
         assert_eq!(budget().lines[0].limit, 1020);
         assert_eq!(Budget::parse(&budget().page()).unwrap(), budget());
+        let committed = include_str!("../../../docs/budget.md");
+        assert_eq!(Budget::parse(committed).unwrap().page(), committed);
     }
 
     #[test]
