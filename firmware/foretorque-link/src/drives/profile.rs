@@ -158,7 +158,7 @@ impl Contradiction {
         }
     }
 
-    /// The same for a joint, from 0.
+    /// Contradiction of a joint, from 0.
     pub const fn of(self, joint: usize) -> Self {
         Self {
             joint: Some(joint as u8),
