@@ -1,11 +1,9 @@
 //! The firmware's f32 dynamics against the host's f64 reference.
 
-use acceptance::arms::description;
-use acceptance::arms::ur5_calibrated::Ur5Calibrated;
 use foretorque::arm::{Arm, ur5::Ur5};
 use foretorque::dynamics::{BaseParameters, regressor, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
-use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
+use foretorque_workbench::dynamics::{ReferenceModel, State};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,44 +11,35 @@ use rand_chacha::ChaCha8Rng;
 /// Largest torque error allowed, N·m: three decimal places below the friction of the joint.
 const TORQUE_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
 
-fn random_motion(random: &mut ChaCha8Rng) -> (JointMotion<6>, State<6>) {
+fn random_motion(random: &mut ChaCha8Rng) -> JointMotion<6> {
     let mut draw = |size: f32| JointVector::<6>::from_fn(|_, _| random.random_range(-size..=size));
-    let motion = JointMotion {
+    JointMotion {
         q: draw(core::f32::consts::TAU),
         qd: draw(core::f32::consts::PI),
         qdd: draw(10.0),
-    };
-    let state = State {
-        q: motion.q.map(f64::from),
-        qd: motion.qd.map(f64::from),
-        qdd: motion.qdd.map(f64::from),
-    };
-    (motion, state)
-}
-
-fn worst_error(robot: &Robot, samples: usize) -> Joints<6> {
-    let beta = robot.base_parameters();
-    let beta = BaseParameters::<40>::from_fn(|k, _| beta[k] as f32);
-    let model = ReferenceModel::<6>::new(robot).unwrap();
-    let mut random = ChaCha8Rng::seed_from_u64(20);
-    let mut worst = Joints::<6>::zeros();
-    for _ in 0..samples {
-        let (motion, state) = random_motion(&mut random);
-        let tau = rnea::<Ur5, 6, 40>(&beta, &motion).map(f64::from);
-        worst = worst.sup(&(tau - model.inverse_dynamics(&state)).abs());
     }
-    worst
 }
 
 #[test]
 fn rnea_agrees_with_the_reference_over_random_states() {
     let ur5 = Robot::load("ur5").unwrap();
     for robot in [ur5.clone(), ur5.perturbed(1, &Perturbation::PLANT)] {
-        let worst = worst_error(&robot, 100_000);
-        println!("{:e}", worst.transpose());
-        for j in 0..6 {
-            let error = worst[j];
-            assert!(error <= TORQUE_TOLERANCE[j], "joint {}: {error}", j + 1);
+        let beta = robot.base_parameters();
+        let beta = BaseParameters::<40>::from_fn(|k, _| beta[k] as f32);
+        let model = ReferenceModel::<6>::new(&robot).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(20);
+        for _ in 0..100_000 {
+            let motion = random_motion(&mut random);
+            let truth = model.inverse_dynamics(&State {
+                q: motion.q.map(f64::from),
+                qd: motion.qd.map(f64::from),
+                qdd: motion.qdd.map(f64::from),
+            });
+            let tau = rnea::<Ur5, 6, 40>(&beta, &motion).map(f64::from);
+            for j in 0..6 {
+                let error = (tau[j] - truth[j]).abs();
+                assert!(error <= TORQUE_TOLERANCE[j], "joint {}: {error}", j + 1);
+            }
         }
     }
 }
@@ -60,7 +49,7 @@ fn the_regressor_times_base_parameters_is_the_torque_and_its_rows_are_the_single
     let beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);
     let mut random = ChaCha8Rng::seed_from_u64(25);
     for _ in 0..10_000 {
-        let (motion, _) = random_motion(&mut random);
+        let motion = random_motion(&mut random);
         let rows = regressor::<Ur5, 6, 40>(&motion);
         let errors = (rows * beta - rnea::<Ur5, 6, 40>(&beta, &motion)).map(f64::from);
         for j in 0..6 {
@@ -69,29 +58,6 @@ fn the_regressor_times_base_parameters_is_the_torque_and_its_rows_are_the_single
             // The same operations in the same order: the same bits.
             let row = regressor_row::<Ur5, 6, 40>(j, &motion);
             assert_eq!(rows.row(j).transpose(), row);
-        }
-    }
-}
-
-#[test]
-fn torque_and_regressor_hold_without_structural_zeros() {
-    // An arm whose geometry has no round numbers: the kernels must not depend on the zeros of a data sheet.
-    let model = ReferenceModel::<6>::new(&description(Ur5Calibrated::NAME)).unwrap();
-    let beta = BaseParameters::<41>::from_row_slice(&Ur5Calibrated::NOMINAL);
-    let mut random = ChaCha8Rng::seed_from_u64(31);
-    for _ in 0..20_000 {
-        let (motion, state) = random_motion(&mut random);
-        let truth = model.inverse_dynamics(&state);
-        let tau = rnea::<Ur5Calibrated, 6, 41>(&beta, &motion);
-        let rows = regressor::<Ur5Calibrated, 6, 41>(&motion) * beta;
-        for (j, limits) in Ur5Calibrated::LIMITS.iter().enumerate() {
-            let errors = [tau, rows].map(|tau| (f64::from(tau[j]) - truth[j]).abs());
-            let allowed = 1e-6 * f64::from(limits.torque);
-            assert!(
-                errors.iter().all(|error| *error <= allowed),
-                "joint {}: {errors:?}",
-                j + 1
-            );
         }
     }
 }

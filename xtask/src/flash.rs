@@ -66,8 +66,7 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     let elf = toolchain::elf(board.0);
     let bytes = shell::read(&elf)?;
     let mut sealed = bytes.clone();
-    seal(&mut sealed)?;
-    write_images(&loadable(&sealed)?, board.0)?;
+    write_images(&seal(&mut sealed)?, board.0)?;
     let sealed_elf = image(board.0, "elf");
     shell::write(&sealed_elf, &sealed)?;
     println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());
@@ -102,27 +101,23 @@ fn compared(bytes: &[u8]) -> String {
     }
 }
 
-/// Writes length and checksum of the program into an ELF file.
+/// Writes length and checksum of the program into an ELF file, and returns the program.
 ///
 /// The board checks them at its start. One whose file has none starts too, and reports so.
-fn seal(elf: &mut [u8]) -> Result<()> {
-    let program = loadable(elf)?;
-    let base = program.first().map_or(0, |(address, _)| *address);
-    ensure!(
-        base == FLASH_START,
-        "the program does not begin with the flash"
-    );
-    let (address, offset) = place_of_seal(elf)?;
-    let words = seal_of(&flat(&program), (address - base) as usize)?;
-    let place = elf.get_mut(offset..offset + SEAL_BYTES);
-    place
-        .context("the ELF file is too short")?
-        .copy_from_slice(&words);
-    Ok(())
+fn seal(elf: &mut [u8]) -> Result<Vec<u8>> {
+    let mut program = program(elf)?;
+    let (place, offset) = places_of_seal(elf)?;
+    let words = seal_of(&program, place)?;
+    for (bytes, at) in [(&mut program[..], place), (elf, offset)] {
+        let seal = bytes.get_mut(at..at + SEAL_BYTES);
+        let seal = seal.context("the ELF file is too short")?;
+        seal.copy_from_slice(&words);
+    }
+    Ok(program)
 }
 
-/// Address of the seal, and its place in the file.
-fn place_of_seal(elf: &[u8]) -> Result<(u32, usize)> {
+/// Places of the seal in the program and in the file.
+fn places_of_seal(elf: &[u8]) -> Result<(usize, usize)> {
     let file = ElfBytes::<LittleEndian>::minimal_parse(elf)?;
     let table = file
         .symbol_table()?
@@ -144,7 +139,8 @@ fn place_of_seal(elf: &[u8]) -> Result<(u32, usize)> {
         .find(|it| it.p_type == PT_LOAD && holds(it.p_vaddr, it.p_filesz));
     let segment = segment.with_context(|| format!("{SEAL} is not in the flash"))?;
     let offset = segment.p_offset + (address - segment.p_vaddr);
-    Ok((u32::try_from(address)?, usize::try_from(offset)?))
+    let place = address.saturating_sub(FLASH_START.into());
+    Ok((usize::try_from(place)?, usize::try_from(offset)?))
 }
 
 /// Length of the program and CRC-32 of it without the seal at `place`.
@@ -162,10 +158,8 @@ fn seal_of(program: &[u8], place: usize) -> Result<[u8; SEAL_BYTES]> {
     Ok(seal)
 }
 
-/// Address and bytes for the flash, in ascending order.
-type Segment = (u32, Vec<u8>);
-
-fn loadable(elf: &[u8]) -> Result<Vec<Segment>> {
+/// The bytes for the flash from its start.
+fn program(elf: &[u8]) -> Result<Vec<u8>> {
     let file =
         ElfBytes::<LittleEndian>::minimal_parse(elf).context("the firmware is not an ELF file")?;
     let mut segments = Vec::new();
@@ -173,103 +167,60 @@ fn loadable(elf: &[u8]) -> Result<Vec<Segment>> {
         if header.p_type == PT_LOAD && header.p_filesz > 0 {
             // The address in the file of start values of variables is in flash; they are copied to RAM at boot.
             let address = u32::try_from(header.p_paddr)?;
-            segments.push((address, file.segment_data(&header)?.to_vec()));
+            segments.push((address, file.segment_data(&header)?));
         }
     }
     segments.sort_by_key(|(address, _)| *address);
-    let overlap = segments
-        .windows(2)
-        .any(|two| two[0].0 as usize + two[0].1.len() > two[1].0 as usize);
-    ensure!(
-        !segments.is_empty() && !overlap,
-        "the firmware has no segments to load, or two that overlap"
-    );
-    Ok(segments)
+    flat(&segments)
 }
 
-/// Writes both images, reads them back, and compares them with the segments of the ELF.
-fn write_images(segments: &[Segment], name: &str) -> Result<()> {
-    let (bin, hex) = (image(name, "bin"), image(name, "hex"));
-    shell::write(&bin, flat(segments))?;
-    shell::write(&hex, intel_hex(segments)?)?;
-
-    let base = segments.first().map_or(0, |(address, _)| *address);
-    let image = fs::read(&bin)?;
-    let in_bin = |address: u32| image.get((address - base) as usize).copied();
-    let lines = read_hex(&fs::read_to_string(&hex)?)?;
-    let loaded: Vec<(u32, u8)> = bytes_of(segments).collect();
+/// One block from the start of the flash; the space between two segments stays erased.
+fn flat(segments: &[(u32, &[u8])]) -> Result<Vec<u8>> {
+    let begins = segments.first().map(|(address, _)| *address);
     ensure!(
-        lines == loaded && loaded.iter().all(|&(at, byte)| in_bin(at) == Some(byte)),
-        "an image differs from the segments of the ELF"
+        begins == Some(FLASH_START),
+        "the program does not begin with the flash"
     );
+    let mut image = Vec::new();
+    for (address, bytes) in segments {
+        let place = (address - FLASH_START) as usize;
+        ensure!(place >= image.len(), "two segments of the firmware overlap");
+        image.resize(place, ERASED);
+        image.extend_from_slice(bytes);
+    }
+    Ok(image)
+}
+
+fn write_images(program: &[u8], name: &str) -> Result<()> {
+    let (bin, hex) = (image(name, "bin"), image(name, "hex"));
+    shell::write(&bin, program)?;
+    shell::write(&hex, intel_hex(program)?)?;
     println!(
-        "bin:  {} ({} bytes from {base:#010x}, read back and compared with the ELF)",
+        "bin:  {} ({} bytes from {FLASH_START:#010x})",
         shown(&bin),
-        image.len()
+        program.len()
     );
     println!("hex:  {} (likewise)", shown(&hex));
     Ok(())
 }
 
-fn bytes_of(segments: &[Segment]) -> impl Iterator<Item = (u32, u8)> {
-    segments
-        .iter()
-        .flat_map(|(address, bytes)| (*address..).zip(bytes.iter().copied()))
-}
-
-/// One block from the first segment's address; the space between two segments stays erased.
-fn flat(segments: &[Segment]) -> Vec<u8> {
-    let mut image = Vec::new();
-    let base = segments.first().map_or(0, |(address, _)| *address);
-    for (address, bytes) in segments {
-        image.resize((address - base) as usize, ERASED);
-        image.extend_from_slice(bytes);
-    }
-    image
-}
-
-fn intel_hex(segments: &[Segment]) -> Result<String> {
+fn intel_hex(program: &[u8]) -> Result<String> {
     let mut records = Vec::new();
-    let mut upper = None;
-    for (address, bytes) in segments {
-        let mut at = *address;
-        let mut rest = bytes.as_slice();
-        while !rest.is_empty() {
-            if upper != Some(at >> 16) {
-                upper = Some(at >> 16);
-                records.push(Record::ExtendedLinearAddress((at >> 16) as u16));
-            }
-            // A line ends where the upper half of the address changes.
-            let left = 0x1_0000 - (at & 0xffff) as usize;
-            let (line, later) = rest.split_at(HEX_LINE.min(left).min(rest.len()));
-            records.push(Record::Data {
-                offset: at as u16,
-                value: line.to_vec(),
-            });
-            at += line.len() as u32;
-            rest = later;
+    for (line, address) in program
+        .chunks(HEX_LINE)
+        .zip((FLASH_START..).step_by(HEX_LINE))
+    {
+        if address & 0xffff == 0 {
+            records.push(Record::ExtendedLinearAddress((address >> 16) as u16));
         }
+        records.push(Record::Data {
+            offset: address as u16,
+            value: line.to_vec(),
+        });
     }
     records.push(Record::EndOfFile);
     let text = ihex::create_object_file_representation(&records);
     Ok(text.context("a line of the HEX file is too long")? + "\n")
-}
-
-/// Every byte of a HEX file with its address, in the order of the file.
-fn read_hex(text: &str) -> Result<Vec<(u32, u8)>> {
-    let mut bytes = Vec::new();
-    let mut upper = 0;
-    for record in ihex::Reader::new(text) {
-        match record.context("a line of the HEX file is damaged")? {
-            Record::ExtendedLinearAddress(half) => upper = u32::from(half) << 16,
-            Record::Data { offset, value } => {
-                bytes.extend((upper | u32::from(offset)..).zip(value))
-            }
-            Record::EndOfFile => break,
-            other => bail!("unexpected record in the HEX file: {other:?}"),
-        }
-    }
-    Ok(bytes)
 }
 
 /// Place of an image.
@@ -282,17 +233,22 @@ fn image(binary: &str, kind: &str) -> PathBuf {
 mod tests {
     use super::*;
 
-    fn segments() -> Vec<Segment> {
-        let code = (0..70_000_u32).map(|k| (k * 7) as u8).collect();
-        vec![(0x0800_0000, code), (0x0802_0005, vec![1, 2, 3])]
-    }
-
     #[test]
     fn hex_holds_every_byte_at_its_address_across_the_64_k_lines() {
-        let text = intel_hex(&segments()).unwrap();
-        let expected: Vec<_> = bytes_of(&segments()).collect();
-        assert_eq!(read_hex(&text).unwrap(), expected);
+        let program: Vec<u8> = (0..70_001_u32).map(|k| (k * 7) as u8).collect();
+        let text = intel_hex(&program).unwrap();
         assert!(text.starts_with(":020000040800F2\n"), "{}", &text[..40]);
+        let (mut read, mut upper) = (Vec::new(), 0);
+        for record in ihex::Reader::new(&text) {
+            match record.unwrap() {
+                Record::ExtendedLinearAddress(half) => upper = u32::from(half) << 16,
+                Record::Data { offset, value } => {
+                    read.extend((upper | u32::from(offset)..).zip(value));
+                }
+                _ => {}
+            }
+        }
+        assert_eq!(read, (FLASH_START..).zip(program).collect::<Vec<_>>());
     }
 
     #[test]
@@ -308,18 +264,11 @@ mod tests {
     }
 
     #[test]
-    fn a_flipped_digit_of_a_hex_file_is_seen() {
-        let text = intel_hex(&segments()).unwrap();
-        let wrong = text.replacen("0007", "0008", 1);
-        assert_ne!(wrong, text);
-        assert!(read_hex(&wrong).is_err());
-    }
-
-    #[test]
     fn the_flat_image_is_erased_between_segments() {
-        let image = flat(&segments());
-        assert_eq!(image.len(), 0x2_0008);
-        assert_eq!(image[70_000], ERASED);
-        assert_eq!(image[0x2_0004..], [ERASED, 1, 2, 3]);
+        let segments: [(u32, &[u8]); 2] = [(0x0800_0000, &[7; 100]), (0x0800_0065, &[1, 2])];
+        let image = flat(&segments).unwrap();
+        assert_eq!(image[99..], [7, ERASED, 1, 2]);
+        assert!(flat(&segments[1..]).is_err() && flat(&[segments[1], segments[0]]).is_err());
+        assert!(flat(&[segments[0], segments[0]]).is_err());
     }
 }

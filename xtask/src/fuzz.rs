@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::thread;
 
 use anyhow::{Context as _, Result, anyhow, bail};
@@ -62,10 +62,6 @@ struct Outcome {
 /// Sets up, fuzzes, prints a table and writes target/foretorque/fuzz.json.
 pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     setup::run(forced)?;
-    if !compiler() {
-        bail!("libFuzzer needs a C++ compiler: install one (the package g++)");
-    }
-    unpack()?;
     let outcomes = fuzz(runs)?;
     let mut json = String::from("{\"targets\": [");
     println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
@@ -92,20 +88,9 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     check(&outcomes)
 }
 
-/// A short run, the same every time. Without a C++ compiler the inputs are mutated without coverage.
+/// A short run, the same every time.
 pub(crate) fn gate() -> Result<()> {
-    unpack()?;
-    if compiler() {
-        return check(&fuzz(SHORT)?);
-    }
-    println!("no C++ compiler: the inputs are mutated without coverage");
-    for target in LANES.iter().copied().flatten() {
-        let mut plain = cargo("run");
-        plain.args(["--quiet", "--bin", "plain", "--", target.name]);
-        plain.arg((SHORT * target.share / 100).to_string());
-        shell::run(plain.arg(corpus(target.name)))?;
-    }
-    Ok(())
+    check(&fuzz(SHORT)?)
 }
 
 fn check(outcomes: &[Outcome]) -> Result<()> {
@@ -117,11 +102,6 @@ fn check(outcomes: &[Outcome]) -> Result<()> {
         bail!("inputs that break a promise: {}", found.join("; "));
     }
     Ok(())
-}
-
-/// Whether there is a C++ compiler, or one can be installed.
-fn compiler() -> bool {
-    setup::bring_program("c++", "g++").is_ok()
 }
 
 /// Committed inputs, one archive of the directory `corpus` with a directory for each target.
@@ -148,27 +128,23 @@ fn corpus(name: &str) -> PathBuf {
     root().join(HOME).join("corpus").join(name)
 }
 
-fn cargo(verb: &str) -> Command {
-    let mut cargo = command("cargo");
-    cargo.args([
-        verb,
-        "--release",
-        "--manifest-path",
-        "tests/fuzz/Cargo.toml",
-    ]);
-    cargo.args(["--target-dir", "target/fuzz"]);
-    cargo
-}
-
 /// Builds the targets and fuzzes all of them, `runs` executions in all.
 fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
+    setup::bring_program("c++", "g++").context("libFuzzer needs a C++ compiler")?;
+    unpack()?;
     let host = capture(command("rustc").arg("-vV")).context("rustc reports no version")?;
     let host = host.lines().find_map(|line| line.strip_prefix("host: "));
     let host = host.context("rustc reports no host")?.to_owned();
-    let mut build = cargo("build");
+    let mut build = command("cargo");
     // With a target named, the flags are for the code that is fuzzed and not for what builds it.
     build
-        .args(["--features", "libfuzzer", "--target", &host])
+        .args([
+            "build",
+            "--release",
+            "--manifest-path",
+            "tests/fuzz/Cargo.toml",
+        ])
+        .args(["--target-dir", "target/fuzz", "--target", &host])
         .env("RUSTFLAGS", COVERAGE);
     for target in LANES.iter().copied().flatten() {
         build.args(["--bin", target.name]);

@@ -4,7 +4,7 @@
 
 use std::fs::{self, File};
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use std::{env, fmt, process};
 
 use anyhow::{Context as _, Result, anyhow, bail};
@@ -13,8 +13,8 @@ use crate::shell::{self, capture, command, run_bounded, timed};
 use crate::toolchain::{TARGET, Toolchain, Tools, linked_name};
 
 /// Bound on rustup if other ways are left, and if it is the only one.
-const RUSTUP_LIMIT: Duration = Duration::from_secs(60);
-const RUSTUP_LIMIT_FORCED: Duration = Duration::from_secs(600);
+const RUSTUP_LIMIT_S: u32 = 60;
+const RUSTUP_LIMIT_FORCED_S: u32 = 600;
 
 /// A way to a toolchain that builds for the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -225,18 +225,18 @@ fn bring(forced: Option<Way>) -> Result<Tools> {
 /// Adds the target and the components by rustup, bounded in time.
 fn ask_rustup(needs: &[Need], forced: Option<Way>) -> Result<()> {
     let limit = match forced {
-        Some(Way::Rustup) => RUSTUP_LIMIT_FORCED,
-        None => RUSTUP_LIMIT,
+        Some(Way::Rustup) => RUSTUP_LIMIT_FORCED_S,
+        None => RUSTUP_LIMIT_S,
         Some(_) => return Ok(()),
     };
     for need in needs {
         let words: &[&str] = match need {
-            Need::Target => &["target", "add", TARGET],
-            Need::Lints => &["component", "add", "clippy", "rustfmt"],
+            Need::Target => &["rustup", "target", "add", TARGET],
+            Need::Lints => &["rustup", "component", "add", "clippy", "rustfmt"],
             Need::Emulator => continue,
         };
-        let task = format!("rustup {} (at most {} s)", words.join(" "), limit.as_secs());
-        timed(&task, || run_bounded(command("rustup").args(words), limit))?;
+        let task = format!("{} (at most {limit} s)", words.join(" "));
+        timed(&task, || run_bounded(words, limit))?;
     }
     Ok(())
 }

@@ -2,11 +2,9 @@
 
 use std::fmt::Write as _;
 use std::fs;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
 
@@ -51,47 +49,24 @@ pub(crate) fn capture(command: &mut Command) -> Option<String> {
     output.status.success().then(text)
 }
 
-/// Runs in silence for at most `limit`, then ends the child; the error carries the child's own first `error` line.
-pub(crate) fn run_bounded(command: &mut Command, limit: Duration) -> Result<()> {
-    command
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .env_remove("RUST_BACKTRACE");
-    let mut child = command
-        .spawn()
-        .with_context(|| format!("cannot start `{}`", line(command)))?;
-    let mut pipe = child
-        .stderr
-        .take()
-        .context("the child has no standard error")?;
-    // Read beside the wait: a full pipe would block the child for ever.
-    let reader = thread::spawn(move || {
-        let mut text = String::new();
-        let _ = pipe.read_to_string(&mut text);
-        text
-    });
-    let start = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait()? {
-            break status;
-        }
-        if start.elapsed() > limit {
-            child.kill()?;
-            child.wait()?;
-            let (line, limit) = (line(command), limit.as_secs());
-            bail!("`{line}` took more than {limit} s and was ended");
-        }
-        thread::sleep(Duration::from_millis(20));
+/// Runs `words` in silence for at most `limit` seconds; the error carries the program's own first `error` line.
+pub(crate) fn run_bounded(words: &[&str], limit: u32) -> Result<()> {
+    let mut bounded = command("timeout");
+    bounded.arg(limit.to_string()).args(words);
+    let output = bounded.env_remove("RUST_BACKTRACE").output();
+    let output = output.with_context(|| format!("cannot start `{}`", line(&bounded)))?;
+    let text = String::from_utf8_lossy(&output.stderr);
+    let reason = match output.status.code() {
+        Some(0) => return Ok(()),
+        Some(124) => "was ended",
+        _ => text
+            .lines()
+            .find(|line| line.starts_with("error"))
+            .unwrap_or("no reason given"),
     };
-    if !status.success() {
-        let text = reader.join().unwrap_or_default();
-        let reason = text.lines().find(|line| line.starts_with("error"));
-        let reason = reason.unwrap_or("error: no reason given");
-        // rustup writes its whole chain of causes on that line.
-        let reason: String = reason.chars().take(160).collect();
-        bail!("`{}`: {reason}", line(command));
-    }
-    Ok(())
+    // rustup writes its whole chain of causes on that line.
+    let reason: String = reason.chars().take(160).collect();
+    bail!("`{}`: {reason}", line(&bounded))
 }
 
 /// The bytes of a file.
@@ -126,12 +101,12 @@ pub(crate) fn timed<T>(task: &str, work: impl FnOnce() -> Result<T>) -> Result<T
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
     fn a_child_that_hangs_is_ended_at_its_limit() {
         let start = Instant::now();
-        let error =
-            run_bounded(command("sleep").arg("600"), Duration::from_millis(100)).unwrap_err();
+        let error = run_bounded(&["sleep", "600"], 1).unwrap_err();
         assert!(start.elapsed() < Duration::from_secs(60));
         assert!(error.to_string().contains("was ended"), "{error}");
     }
@@ -139,8 +114,7 @@ mod tests {
     #[test]
     fn a_failing_child_is_quoted_with_its_reason() {
         let script = "echo noise >&2; echo 'error: no route to host' >&2; exit 1";
-        let error =
-            run_bounded(command("sh").args(["-c", script]), Duration::from_secs(60)).unwrap_err();
+        let error = run_bounded(&["sh", "-c", script], 60).unwrap_err();
         let reason = "error: no route to host";
         assert!(error.to_string().ends_with(reason), "{error}");
     }

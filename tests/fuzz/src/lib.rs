@@ -8,7 +8,7 @@ mod flash;
 mod seeds;
 
 pub use drives::drives;
-pub use seeds::{plant, seeds};
+pub use seeds::plant;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use flash::TinyFlash;
@@ -204,18 +204,6 @@ fn events(input: &[u8]) -> Vec<Event> {
         rest = behind;
     }
     events
-}
-
-/// Ends of the pieces of an input, its first byte included: messages behind their lengths, and periods of the timer.
-pub fn pieces(input: &[u8]) -> Vec<usize> {
-    let mut ends = vec![input.len().min(1)];
-    let mut at = ends[0];
-    while let Some(&length) = input.get(at) {
-        let content = if length < PERIODS { length.into() } else { 0 };
-        at = input.len().min(at + 1 + content);
-        ends.push(at);
-    }
-    ends
 }
 
 /// First length that stands for periods of the timer.

@@ -1,19 +1,19 @@
 //! Runs the bench ELF in the emulator, once to count and once to trace.
 
-use std::io::{BufReader, Read};
+use std::io::BufReader;
 use std::path::Path;
-use std::process::{Command, Stdio};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::process::{Command, ExitStatus, Stdio};
 
-use anyhow::{Context as _, Result, anyhow, bail, ensure};
+use anyhow::{Context as _, Result, ensure};
 
 use crate::image::Image;
 use crate::spread::{Spread, TICKS};
 use crate::trace::{self, Call};
 
 /// A run takes less than half a minute on a quiet machine; one of ten minutes hangs.
-const LIMIT: Duration = Duration::from_secs(600);
+const LIMIT: &str = "600";
+
+const NOT_STARTED: &str = "cannot start qemu-system-arm";
 
 /// The row whose function returns at once: its count beyond its own instructions is the bracket.
 const EMPTY: &str = "empty";
@@ -30,12 +30,10 @@ pub(crate) fn count(elf: &Path, calls: u32) -> Result<(Vec<Counts>, Spread)> {
     let mut command = machine(elf, calls, TICKS);
     // One instruction is one nanosecond of virtual time, and TIM2 counts nanoseconds.
     command.args(["-icount", "shift=0,sleep=off"]);
-    command.stdout(Stdio::piped()).stderr(Stdio::inherit());
-    let text = bounded(&mut command, |child| {
-        let mut text = String::new();
-        child.read_to_string(&mut text)?;
-        Ok(text)
-    })?;
+    let output = command.stderr(Stdio::inherit()).output();
+    let output = output.context(NOT_STARTED)?;
+    succeeded(output.status)?;
+    let text = String::from_utf8(output.stdout)?;
     let lines = text.trim_end().rsplit_once('\n');
     let (rows, long_run) = lines.context("the bench program printed nothing")?;
     Ok((read_counts(rows)?, Spread::read(long_run, TICKS)?))
@@ -55,14 +53,17 @@ pub(crate) fn trace(
     // The same pipe under a name: the emulator's own standard error is not buffered, five times slower.
     command.args(["-D", "/dev/stderr"]);
     command.stdout(Stdio::null()).stderr(Stdio::piped());
-    bounded(&mut command, |child| {
-        trace::follow(BufReader::with_capacity(1 << 16, child), image, &names)
-    })
+    let mut child = command.spawn().context(NOT_STARTED)?;
+    let log = child.stderr.take().context("the emulator has no log")?;
+    let calls = trace::follow(BufReader::with_capacity(1 << 16, log), image, &names);
+    succeeded(child.wait()?)?;
+    calls
 }
 
 fn machine(elf: &Path, calls: u32, ticks: u32) -> Command {
-    let mut command = Command::new("qemu-system-arm");
+    let mut command = Command::new("timeout");
     command
+        .args([LIMIT, "qemu-system-arm"])
         .args(["-machine", "netduinoplus2", "-nographic"])
         .args(["-monitor", "none", "-serial", "none", "-semihosting-config"])
         .arg(format!("enable=on,target=native,arg={calls},arg={ticks}"))
@@ -72,38 +73,13 @@ fn machine(elf: &Path, calls: u32, ticks: u32) -> Command {
     command
 }
 
-/// Runs `command` for at most [`LIMIT`] while `read` reads its pipe.
-fn bounded<T: Send>(
-    command: &mut Command,
-    read: impl FnOnce(&mut (dyn Read + Send)) -> Result<T> + Send,
-) -> Result<T> {
-    let mut child = command.spawn().context("cannot start qemu-system-arm")?;
-    let mut pipe: Box<dyn Read + Send> = match (child.stdout.take(), child.stderr.take()) {
-        (Some(stdout), _) => Box::new(stdout),
-        (_, Some(stderr)) => Box::new(stderr),
-        _ => bail!("the emulator has no pipe"),
-    };
-    thread::scope(|scope| {
-        let reader = scope.spawn(move || read(&mut *pipe));
-        let start = Instant::now();
-        let status = loop {
-            if let Some(status) = child.try_wait()? {
-                break status;
-            }
-            if start.elapsed() > LIMIT {
-                child.kill()?;
-                child.wait()?;
-                bail!(
-                    "the emulator took more than {} s and was ended",
-                    LIMIT.as_secs()
-                );
-            }
-            thread::sleep(Duration::from_millis(5));
-        };
-        let read = reader.join().map_err(|_| anyhow!("the reader panicked"))?;
-        ensure!(status.success(), "the bench program failed ({status})");
-        read
-    })
+fn succeeded(status: ExitStatus) -> Result<()> {
+    ensure!(
+        status.code() != Some(124),
+        "the emulator took more than {LIMIT} s and was ended"
+    );
+    ensure!(status.success(), "the bench program failed ({status})");
+    Ok(())
 }
 
 /// Lines `name count`, one a call.

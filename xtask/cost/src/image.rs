@@ -12,7 +12,7 @@ use elf::endian::LittleEndian;
 use crate::thumb::{self, Instruction};
 
 /// Flash and static RAM of the STM32F405 (memory.x).
-pub(crate) const FLASH: Range<u32> = 0x0800_0000..0x0810_0000;
+const FLASH: Range<u32> = 0x0800_0000..0x0810_0000;
 pub(crate) const RAM: Range<u32> = 0x2000_0000..0x2002_0000;
 
 /// A function of the symbol table.

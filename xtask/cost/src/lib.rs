@@ -3,7 +3,6 @@
 //! Two runs of one ELF in the emulator: one counts the instructions of every call, the other logs the processor before
 //! each instruction. The log is decoded here and priced. The two must agree, call by call.
 
-mod anchors;
 mod budget;
 mod calls;
 mod cycles;
@@ -68,13 +67,11 @@ pub fn bench(
 
     let images = [(JOINT, &memory), (DRIVE, &drive), (CAN, &can)];
     let measured = quantities(&rows, &spread, &images, &arms);
-    let mut budget = Budget::read(root);
+    let mut budget = Budget::read(root)?;
     if accept {
-        let accepted = budget.unwrap_or_default().accept(toolchain, &measured)?;
-        accepted.write(root)?;
-        budget = Ok(accepted);
+        budget = budget.accept(toolchain, &measured)?;
+        budget.write(root)?;
     }
-    let budget = budget?;
     println!("\n{}", report::table(&rows, &memory, &budget));
     println!(
         "{DRIVE}: {} B flash, {} B static RAM; worst stack of the tick {} B\n",
@@ -82,12 +79,8 @@ pub fn bench(
     );
     println!("{}", memory::by_module_table(&joint));
     println!("{}\n", report::spread(&spread));
-    println!("executed instructions by kind");
-    for row in &rows {
-        println!("{}", report::mix(row));
-    }
     println!(
-        "\ngates: no handler reaches a panic, software f64 or an allocator ({reached} functions seen)"
+        "gates: no handler reaches a panic, software f64 or an allocator ({reached} functions seen)"
     );
     let out = root.join(OUT);
     if let Some(parent) = out.parent() {

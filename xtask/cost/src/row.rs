@@ -1,7 +1,5 @@
 //! The measured rows: two runs of one ELF, counted and traced, that must agree call by call.
 
-use std::cmp::Reverse;
-use std::collections::HashMap;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
@@ -27,14 +25,10 @@ pub(crate) struct Row {
     pub(crate) cycles: f64,
     /// Most estimated cycles in any traced call.
     pub(crate) worst_cycles: u64,
-    /// Estimated cycles with the flash model, mean.
-    pub(crate) flash_cycles: f64,
     /// Bound of the stack below the caller's, from the code.
     pub(crate) stack_bytes: u32,
     /// Deepest stack in a traced call.
     pub(crate) stack_seen: u32,
-    /// Executed instructions by name over the traced calls, most frequent first.
-    pub(crate) mix: Vec<(&'static str, u32)>,
 }
 
 impl Row {
@@ -67,32 +61,18 @@ impl Row {
             stack_seen <= stack_bytes,
             "`{name}` was seen {stack_seen} B deep, beyond its bound of {stack_bytes} B: the walk is wrong"
         );
-        // The first call only fills the modelled caches.
+        // The budget's means leave the first call out.
         let steady = calls.get(1..).unwrap_or_default();
-        let mean = |of: fn(&Call) -> u64| {
-            steady.iter().map(of).sum::<u64>() as f64 / steady.len().max(1) as f64
-        };
-        let mut mix = HashMap::new();
-        for (name, count) in steady.iter().flat_map(|call| &call.mix) {
-            *mix.entry(*name).or_insert(0) += count;
-        }
-        let mut mix: Vec<_> = mix.into_iter().collect();
-        mix.sort_by_key(|&(name, count)| (Reverse(count), name));
+        let cycles: u64 = steady.iter().map(|call| call.cycles).sum();
         let sum: f64 = counted.iter().map(|&n| f64::from(n)).sum();
         Ok(Self {
             name: name.clone(),
             instructions: sum / counted.len().max(1) as f64,
             worst: counted.iter().copied().max().unwrap_or(0),
-            cycles: mean(|call| call.cycles.estimate),
-            worst_cycles: calls
-                .iter()
-                .map(|call| call.cycles.estimate)
-                .max()
-                .unwrap_or(0),
-            flash_cycles: mean(|call| call.cycles.flash),
+            cycles: cycles as f64 / steady.len().max(1) as f64,
+            worst_cycles: calls.iter().map(|call| call.cycles).max().unwrap_or(0),
             stack_bytes,
             stack_seen,
-            mix,
         })
     }
 }

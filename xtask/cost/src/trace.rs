@@ -5,7 +5,7 @@ use std::io::BufRead;
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::cycles::{Cycles, Model};
+use crate::cycles::Model;
 use crate::image::Image;
 use crate::step::Step;
 use crate::thumb::{Instruction, LR, SP};
@@ -14,11 +14,10 @@ use crate::thumb::{Instruction, LR, SP};
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Call {
     pub(crate) instructions: u32,
-    pub(crate) cycles: Cycles,
+    /// Estimated.
+    pub(crate) cycles: u64,
     /// Bytes of stack below the caller's.
     pub(crate) stack_bytes: u32,
-    /// Executions of each instruction.
-    pub(crate) mix: HashMap<&'static str, u32>,
 }
 
 /// The calls of the functions named in `rows`, in that order, from the log.
@@ -38,7 +37,6 @@ pub(crate) fn follow(
         image,
         starts,
         decoded: HashMap::new(),
-        models: rows.iter().map(|_| Model::default()).collect(),
         calls: vec![Vec::new(); rows.len()],
         open: None,
     };
@@ -59,8 +57,7 @@ struct Follower<'a> {
     /// Row of a function, by its address.
     starts: HashMap<u32, usize>,
     decoded: HashMap<u32, Instruction>,
-    /// One pipeline and flash interface a row; code between two calls does not count.
-    models: Vec<Model>,
+    /// Of each row; code between two calls does not count.
     calls: Vec<Vec<Call>>,
     open: Option<Open>,
 }
@@ -72,22 +69,20 @@ struct Open {
     sp: u32,
     last: Step,
     call: Call,
-    before: Cycles,
+    model: Model,
 }
 
 impl Follower<'_> {
     fn see(&mut self, step: &Step) -> Result<()> {
         let Some(mut open) = self.open.take() else {
             if let Some(&row) = self.starts.get(&step.pc()) {
-                let model = &mut self.models[row];
-                model.drain();
                 self.open = Some(Open {
                     row,
                     back: step.register(LR) & !1,
                     sp: step.register(SP),
                     last: *step,
                     call: Call::default(),
-                    before: model.spent(),
+                    model: Model::default(),
                 });
             }
             return Ok(());
@@ -103,14 +98,12 @@ impl Follower<'_> {
                 new
             }
         };
-        let model = &mut self.models[open.row];
-        model.execute(&instruction, &open.last, step.pc());
+        open.model.execute(&instruction, &open.last, step.pc());
         open.call.instructions += 1;
-        *open.call.mix.entry(instruction.name).or_default() += 1;
         let depth = open.sp.saturating_sub(step.register(SP));
         open.call.stack_bytes = open.call.stack_bytes.max(depth);
         if step.pc() == open.back && step.register(SP) == open.sp {
-            open.call.cycles = model.spent() - open.before;
+            open.call.cycles = open.model.spent();
             self.calls[open.row].push(open.call);
         } else {
             open.last = *step;

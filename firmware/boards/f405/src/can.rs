@@ -4,7 +4,6 @@
 //! CAN2 through bank 14, both into FIFO 0. The banks of both belong to CAN1, so CAN1 starts first. The driver works on
 //! [`Registers`]; on the host a model of the peripheral stands in. It has not run on silicon.
 
-use core::fmt;
 use foretorque_link::drives::Frame;
 use foretorque_link::drives::in_line::Port;
 
@@ -78,36 +77,19 @@ pub enum Controller {
     Can2,
 }
 
-/// Reason why a controller does not start or send.
+/// Reason why a frame is not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CanError {
-    /// The controller does not enter its initialisation.
-    NoAnswer,
-    /// The bit rate cannot be made from the clock.
-    BitRate,
     /// All three mailboxes are waiting for the bus.
     Full,
     /// CAN-FD, or more than eight bytes.
     NotClassic,
 }
 
-impl fmt::Display for CanError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::NoAnswer => "the CAN controller does not answer",
-            Self::BitRate => "the bit rate cannot be made from the clock",
-            Self::Full => "three frames wait for the CAN bus",
-            Self::NotClassic => "the frame is not a classic one",
-        })
-    }
-}
-
-impl core::error::Error for CanError {}
-
 /// Bit timing register for `bit_s` from a peripheral clock of `clock_hz`, sample point 80 to 88 %.
 ///
-/// Errors: [`CanError::BitRate`] where no whole number of 10 to 20 time quanta gives the rate.
-pub const fn timing(clock_hz: u32, bit_s: u32) -> Result<u32, CanError> {
+/// `None` where no whole number of 10 to 20 time quanta gives the rate.
+pub const fn timing(clock_hz: u32, bit_s: u32) -> Option<u32> {
     let mut quanta = 20;
     while quanta >= 10 {
         let rate = bit_s.saturating_mul(quanta);
@@ -115,12 +97,12 @@ pub const fn timing(clock_hz: u32, bit_s: u32) -> Result<u32, CanError> {
             let (divider, second) = (clock_hz / rate, quanta / 7);
             let first = quanta - 1 - second;
             if first <= 16 {
-                return Ok((divider - 1) | (first - 1) << 16 | (second - 1) << 20);
+                return Some((divider - 1) | (first - 1) << 16 | (second - 1) << 20);
             }
         }
         quanta -= 1;
     }
-    Err(CanError::BitRate)
+    None
 }
 
 /// Opens the filters of both controllers for every frame, into FIFO 0. `can1`: registers of CAN1, whose clock runs.
@@ -146,17 +128,16 @@ pub struct Bxcan<R> {
 impl<R: Registers> Bxcan<R> {
     /// Starts a controller with the bit timing `timing`; reads a status at most `polls` times.
     ///
-    /// It takes part in the bus once that has been idle; both interrupts are enabled.
-    ///
-    /// Errors: [`CanError::NoAnswer`].
-    pub fn start(mut registers: R, timing: u32, polls: u32) -> Result<Self, CanError> {
+    /// It takes part in the bus once that has been idle; both interrupts are enabled. `None`: it does not answer.
+    pub fn start(mut registers: R, timing: u32, polls: u32) -> Option<Self> {
         // Out of sleep, first in first out, back after bus off without the program's help.
         registers.write(offset::MCR, INRQ | TXFP | ABOM);
-        wait(&registers, polls).ok_or(CanError::NoAnswer)?;
+        // It has entered its initialisation.
+        (0..polls).find(|_| registers.read(offset::MSR) & INAK != 0)?;
         registers.write(offset::BTR, timing);
         registers.write(offset::MCR, TXFP | ABOM);
         registers.write(offset::IER, TMEIE | FMPIE0);
-        Ok(Self { registers })
+        Some(Self { registers })
     }
 
     /// Gives a frame to an empty mailbox. Errors: [`CanError::Full`], [`CanError::NotClassic`].
@@ -239,11 +220,6 @@ impl<R: Registers> Port for Bxcan<R> {
         // What no classic bus can carry did not come from one: it must not stop the queue.
         Bxcan::send(self, frame) != Err(CanError::Full)
     }
-}
-
-/// Waits until INAK is set. `None`: it was not, `polls` times.
-fn wait(registers: &impl Registers, polls: u32) -> Option<()> {
-    (0..polls).find_map(|_| (registers.read(offset::MSR) & INAK != 0).then_some(()))
 }
 
 /// Registers of the chip.

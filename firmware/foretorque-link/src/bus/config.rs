@@ -1,7 +1,6 @@
-use crate::drives::{DriveProfile, ProfileError, Protocol, Ranges, Scale};
+use crate::drives::{Contradiction, DriveProfile, Protocol, Ranges, Scale};
 use crate::safety::SafetyLimits;
-use core::fmt;
-use foretorque::arm::Arm;
+use foretorque::arm::{Arm, JointLimits};
 use foretorque::learning::LearnerConfig;
 use foretorque::math::sqrt;
 use serde::{Deserialize, Serialize};
@@ -33,83 +32,45 @@ pub struct BusConfig<const N: usize> {
     pub joints: [BusJoint; N],
 }
 
-/// Two values that contradict each other, or a value out of its range.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BusConfigError {
-    /// Joint, from 0; `None` for a field of the whole arm.
-    pub joint: Option<u8>,
-    /// Field.
-    pub field: &'static str,
-    /// Its value.
-    pub value: f32,
-    /// Contradicting quantity.
-    pub against: &'static str,
-    /// Its value.
-    pub bound: f32,
-}
-
-impl fmt::Display for BusConfigError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let Some(joint) = self.joint {
-            write!(f, "joint {}: ", joint + 1)?;
-        }
-        let Self { field, value, .. } = self;
-        let Self { against, bound, .. } = self;
-        write!(f, "{field} {value} contradicts {against} {bound}")
-    }
-}
-
-impl core::error::Error for BusConfigError {}
-
 impl<const N: usize> BusConfig<N> {
     /// Checks the profile in itself and against the arm.
     ///
     /// Errors: the first contradiction, with joint, field and both values.
-    pub fn check<A: Arm<N, P>, const P: usize>(&self) -> Result<(), BusConfigError> {
-        let error = |joint: Option<usize>, (field, value, against, bound)| BusConfigError {
-            joint: joint.map(|joint| joint as u8),
-            field,
-            value,
-            against,
-            bound,
-        };
+    pub fn check<A: Arm<N, P>, const P: usize>(&self) -> Result<(), Contradiction> {
         let (least, most) = PERIODS_S;
         for (against, bound, kept) in [
             ("the shortest period", least, self.period_s >= least),
             ("the longest period", most, self.period_s <= most),
         ] {
             if !kept {
-                return Err(error(None, ("period_s", self.period_s, against, bound)));
+                let period = self.period_s;
+                return Err(Contradiction::new("period_s", period, against, bound));
             }
         }
         for (index, joint) in self.joints.iter().enumerate() {
-            let at = |contradiction| error(Some(index), contradiction);
-            joint.drive.check().map_err(|error| {
-                let ProfileError { range, .. } = error;
-                let (against, bound) = match error.value < range.0 {
-                    true => ("the least value", range.0),
-                    false => ("the largest value", range.1),
-                };
-                at((error.field, error.value, against, bound))
-            })?;
-            if joint.bus >= BUSES {
-                let last = f32::from(BUSES - 1);
-                return Err(at(("bus", joint.bus.into(), "the last bus", last)));
-            }
-            let before = self
-                .joints
-                .iter()
-                .take(index)
-                .position(|other| other.bus == joint.bus && other.drive.id == joint.drive.id);
-            if let Some(before) = before {
-                let id = joint.drive.id.into();
-                return Err(at(("id", id, "the same id of joint", before as f32 + 1.0)));
-            }
-            if let Some(&limits) = A::limits().get(index) {
-                joint.check_against(&limits).map_err(at)?;
-            }
+            let checked = self.check_joint(index, joint, A::limits().get(index));
+            checked.map_err(|error| error.of(index))?;
         }
         Ok(())
+    }
+
+    fn check_joint(
+        &self,
+        index: usize,
+        joint: &BusJoint,
+        limits: Option<&JointLimits>,
+    ) -> Result<(), Contradiction> {
+        joint.drive.check()?;
+        if joint.bus >= BUSES {
+            let (bus, last) = (joint.bus.into(), f32::from(BUSES - 1));
+            return Err(Contradiction::new("bus", bus, "the last bus", last));
+        }
+        let same = |other: &BusJoint| other.bus == joint.bus && other.drive.id == joint.drive.id;
+        if let Some(before) = self.joints.iter().take(index).position(same) {
+            let (id, against) = (joint.drive.id.into(), "the same id of joint");
+            return Err(Contradiction::new("id", id, against, before as f32 + 1.0));
+        }
+        limits.map_or(Ok(()), |limits| joint.check_against(limits))
     }
 
     /// Limits of the arm, the torque tightened to the profile's.
@@ -139,23 +100,17 @@ impl<const N: usize> BusConfig<N> {
     }
 }
 
-type Contradiction = (&'static str, f32, &'static str, f32);
-
 impl BusJoint {
-    fn check_against(&self, limits: &foretorque::arm::JointLimits) -> Result<(), Contradiction> {
+    fn check_against(&self, limits: &JointLimits) -> Result<(), Contradiction> {
         let drive = &self.drive;
         let most = limits.torque;
         if drive.torque_limit > most {
-            return Err((
-                "torque_limit",
-                drive.torque_limit,
-                "the torque of the arm",
-                most,
-            ));
+            let (limit, against) = (drive.torque_limit, "the torque of the arm");
+            return Err(Contradiction::new("torque_limit", limit, against, most));
         }
         for (field, gain) in [("kp", self.kp), ("kd", self.kd)] {
             if !(gain >= 0.0 && gain.is_finite()) {
-                return Err((field, gain, "the least value", 0.0));
+                return Err(Contradiction::new(field, gain, "the least value", 0.0));
             }
         }
         let Some(ranges) = self.ranges() else {
@@ -167,7 +122,7 @@ impl BusJoint {
             ("kd", self.kd, "the largest kd of the frame", ranges.kd),
         ] {
             if gain > most * square {
-                return Err((field, gain, against, most * square));
+                return Err(Contradiction::new(field, gain, against, most * square));
             }
         }
         let (low, high) = limits.position;
@@ -182,7 +137,7 @@ impl BusJoint {
         ] {
             let reach = range / drive.gear;
             if reach < least {
-                return Err((field, reach, against, least));
+                return Err(Contradiction::new(field, reach, against, least));
             }
         }
         Ok(())

@@ -16,11 +16,11 @@ mod config;
 mod drives;
 mod joint;
 
-use crate::drives::{Frame, Saturation, Scale};
+use crate::drives::{Contradiction, Frame, Saturation, Scale};
 use crate::safety::{Safety, SafetyReason, SafetyState, SafetyStatus};
 use crate::session::LearnerMailbox;
 pub use board::{BoardDrives, Role, Wires, Wiring};
-pub use config::{BusConfig, BusConfigError, BusJoint};
+pub use config::{BusConfig, BusJoint};
 use core::fmt;
 pub use drives::{BusDrives, BusPhase};
 use foretorque::arm::Arm;
@@ -161,7 +161,7 @@ pub struct BusTick<const N: usize> {
 /// let (mut mailbox, mut sent) = (LearnerMailbox::new(), 0);
 /// let tick = bus.tick(None, &mut mailbox, |_bus, _frame| sent += 1);
 /// assert_eq!((tick.phase, sent), (BusPhase::Off, 6));
-/// # Ok::<(), foretorque_link::bus::BusConfigError>(())
+/// # Ok::<(), foretorque_link::drives::Contradiction>(())
 /// ```
 pub struct BusController<A: Arm<N, P>, const N: usize, const P: usize> {
     config: BusConfig<N>,
@@ -174,20 +174,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
     /// A loop at tick 0 with `set` active, learning off, drives off.
     ///
     /// Errors: the first contradiction of `config`.
-    pub fn new(config: BusConfig<N>, set: ParameterSet<N, P>) -> Result<Self, BusConfigError> {
+    pub fn new(config: BusConfig<N>, set: ParameterSet<N, P>) -> Result<Self, Contradiction> {
         config.check::<A, P>()?;
         let period_s = config.period_s;
         let mut limits = FeedForwardConfig::for_arm::<A, P>(period_s);
         for (joint, bounds) in config.joints.iter().zip(&mut limits.limits) {
             bounds.torque = bounds.torque.min(joint.drive.torque_limit);
         }
-        let refused = |_| BusConfigError {
-            joint: None,
-            field: "period_s",
-            value: period_s,
-            against: "the limits of the arm over a period of",
-            bound: period_s,
-        };
+        let against = "the limits of the arm over a period of";
+        let refused = |_| Contradiction::new("period_s", period_s, against, period_s);
         Ok(Self {
             feed_forward: FeedForward::new(limits, set).map_err(refused)?,
             safety: Safety::new(config.safety_limits::<A, P>(), SafetyReason::None),

@@ -40,7 +40,7 @@ fn config() -> BusConfig<6> {
     }
 }
 
-fn controller(config: BusConfig<6>) -> Result<Controller, BusConfigError> {
+fn controller(config: BusConfig<6>) -> Result<Controller, Contradiction> {
     Controller::new(config, ParameterSet::nominal::<Ur5>(1))
 }
 

@@ -158,7 +158,7 @@ impl<Spi: SpiDevice> JointEncoder<Spi> {
 
     /// Reads the position; restores a lost turn at rest only, because a wrong turn moves the joint while torque flows.
     fn read(&mut self, sampled: Option<f32>, at_rest: bool) -> Result<f32, EncoderError> {
-        if self.encoder.state().position.is_some() || !at_rest {
+        if self.encoder.has_turn() || !at_rest {
             return self.encoder.position();
         }
         self.encoder.reference(match self.turn {

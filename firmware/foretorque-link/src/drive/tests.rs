@@ -240,19 +240,6 @@ fn a_missing_encoder_ends_the_torque_and_latches() {
 }
 
 #[test]
-fn a_board_without_its_encoder_is_not_armed() {
-    for level in [0x0000, 0xffff] {
-        let mut board = Board::new(NEAR);
-        board.chip.borrow_mut().level = Some(level);
-        for _ in 0..20 {
-            let safety = board.sample(&still(0.0)).safety;
-            assert_eq!(safety.reason, SafetyReason::Encoder);
-        }
-        board.assert_refused(SafetyReason::Encoder);
-    }
-}
-
-#[test]
 fn a_lost_turn_is_restored_at_rest_only() {
     let mut board = Board::armed(NEAR);
     board.chip.borrow_mut().angle = 1500;
@@ -333,22 +320,6 @@ fn a_tick_sends_one_command_and_other_messages_none() {
         board.request(HostMessage::Statistics);
         assert_eq!(board.bench.borrow().levels.len(), before + k);
     }
-}
-
-#[test]
-fn a_stop_switches_the_stage_off_before_its_reply() {
-    let mut board = Board::armed(NEAR);
-    assert_eq!(board.request(HostMessage::Stop), ACK);
-    assert_off(&board);
-}
-
-#[test]
-fn silence_brings_the_stage_to_rest() {
-    let mut board = Board::armed(NEAR);
-    (0..100).for_each(|_| board.timer());
-    assert_off(&board);
-    let reason = board.board.session.safety().reason;
-    assert_eq!(reason, SafetyReason::CommandTimeout);
 }
 
 #[test]

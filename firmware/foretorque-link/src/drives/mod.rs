@@ -23,7 +23,7 @@ pub mod text;
 
 pub use frame::{Carry, Frame, Saturation};
 pub use profile::{
-    Cia402, ControlMode, DriveProfile, Moteus, Odrive, ProfileError, Protocol, Ranges, Resolution,
+    Cia402, Contradiction, ControlMode, DriveProfile, Moteus, Odrive, Protocol, Ranges, Resolution,
 };
 
 /// Radians of a turn.

@@ -131,38 +131,59 @@ pub struct DriveProfile {
     pub torque_limit: f32,
 }
 
-/// Field of a profile that is out of range or contradicts another.
+/// Two values that contradict each other, or a value out of its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ProfileError {
-    /// Name of the field.
+pub struct Contradiction {
+    /// Joint, from 0; `None` for a field of the whole arm, or of a drive that has no joint yet.
+    pub joint: Option<u8>,
+    /// Field.
     pub field: &'static str,
     /// Its value.
     pub value: f32,
-    /// Admissible range, ends included.
-    pub range: (f32, f32),
+    /// Contradicting quantity.
+    pub against: &'static str,
+    /// Its value.
+    pub bound: f32,
 }
 
-impl fmt::Display for ProfileError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
+impl Contradiction {
+    /// `value` of `field` contradicts `bound`, which is `against`.
+    pub const fn new(field: &'static str, value: f32, against: &'static str, bound: f32) -> Self {
+        Self {
+            joint: None,
             field,
             value,
-            range,
-        } = self;
-        write!(
-            f,
-            "{field} is {value}, must be within {} and {}",
-            range.0, range.1
-        )
+            against,
+            bound,
+        }
+    }
+
+    /// Contradiction of a joint, from 0.
+    pub const fn of(self, joint: usize) -> Self {
+        Self {
+            joint: Some(joint as u8),
+            ..self
+        }
     }
 }
 
-impl core::error::Error for ProfileError {}
+impl fmt::Display for Contradiction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(joint) = self.joint {
+            write!(f, "joint {}: ", joint + 1)?;
+        }
+        let Self { field, value, .. } = self;
+        let Self { against, bound, .. } = self;
+        write!(f, "{field} {value} contradicts {against} {bound}")
+    }
+}
+
+impl core::error::Error for Contradiction {}
 
 impl DriveProfile {
-    /// Check of every field. Errors: [`ProfileError`] of the first field that is not finite, out of range, or whose
-    /// torque the frame cannot carry.
-    pub fn check(&self) -> Result<(), ProfileError> {
+    /// Check of every field. Errors: the first field that is not finite, out of range, or whose torque the frame cannot
+    /// carry.
+    pub fn check(&self) -> Result<(), Contradiction> {
         const POSITIVE: (f32, f32) = (1e-6, 1e6);
         // A turn must fit into the target of a frame, an i32.
         const COUNTS: (f32, f32) = (1.0, 2_147_483_648.0);
@@ -206,23 +227,22 @@ impl DriveProfile {
             Protocol::Cia402(c) => Some(("counts_per_turn", c.counts_per_turn, COUNTS)),
             _ => None,
         };
+        let refused = |field, value, (least, most): (f32, f32)| {
+            let (against, bound) = if value < least {
+                ("the least value", least)
+            } else {
+                ("the largest value", most)
+            };
+            Err(Contradiction::new(field, value, against, bound))
+        };
         for (field, value, range) in place.into_iter().chain(scales).chain(counts) {
             if !(value >= range.0 && value <= range.1) {
-                return Err(ProfileError {
-                    field,
-                    value,
-                    range,
-                });
+                return refused(field, value, range);
             }
         }
-        let range = (0.0, self.largest_torque());
-        if !(self.torque_limit > 0.0 && self.torque_limit <= range.1) {
-            let (field, value) = ("torque_limit", self.torque_limit);
-            return Err(ProfileError {
-                field,
-                value,
-                range,
-            });
+        let (limit, most) = (self.torque_limit, self.largest_torque());
+        if !(limit > 0.0 && limit <= most) {
+            return refused("torque_limit", limit, (0.0, most));
         }
         Ok(())
     }

@@ -14,9 +14,9 @@ mod stage;
 use embedded_hal::digital::OutputPin;
 #[cfg(test)]
 pub(crate) use encoder::tests::Chip;
-pub use encoder::{AbsoluteEncoder, Direction, EncoderConfig, EncoderError, EncoderState};
+pub use encoder::{AbsoluteEncoder, Direction, EncoderConfig, EncoderError};
 pub use output::{DacModel, OutputError, PwmWithDirection, SpiDac, TorqueOutput};
-pub use stage::{Driven, MotorStage, StageError, TorqueScale};
+pub use stage::{MotorStage, StageError, TorqueScale};
 
 /// The torque enable input of a motor stage, active high. Off after construction.
 ///

@@ -38,15 +38,6 @@ described_errors! {
     }
 }
 
-/// Command that was put out.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Driven {
-    /// Commanded motor current, A.
-    pub current_a: f32,
-    /// The torque was cut to the limit of the scale.
-    pub saturated: bool,
-}
-
 /// A motor stage: torque command, enable output, fault input (active low, as an open drain pulls it).
 ///
 /// Current = τ / κ, level = current / full scale. Torque is put out only while the stage is enabled and reports no fault.
@@ -134,14 +125,12 @@ where
     /// Errors: all but [`StageError::Disabled`] have switched the stage off; with [`StageError::Enable`] this failed too.
     ///
     /// Cost: one read of a pin, one command.
-    pub fn drive(&mut self, tau_nm: f32) -> Result<Driven, StageError> {
+    pub fn drive(&mut self, tau_nm: f32) -> Result<(), StageError> {
         if !self.enable.is_on() {
             return Err(StageError::Disabled);
         }
-        match self.put_out(tau_nm) {
-            Ok(driven) => Ok(driven),
-            Err(error) => Err(self.trip(error)),
-        }
+        let done = self.put_out(tau_nm);
+        done.map_err(|error| self.trip(error))
     }
 
     /// Gives output, enable pin and fault pin back, as they are.
@@ -149,18 +138,14 @@ where
         (self.output, self.enable.release(), self.fault)
     }
 
-    fn put_out(&mut self, tau_nm: f32) -> Result<Driven, StageError> {
+    fn put_out(&mut self, tau_nm: f32) -> Result<(), StageError> {
         self.healthy()?;
         if !tau_nm.is_finite() {
             return Err(StageError::NotFinite);
         }
-        let (bounded, saturated) = cut(tau_nm, self.scale.limit_nm);
+        let (bounded, _) = cut(tau_nm, self.scale.limit_nm);
         let level = bounded * self.level_per_nm;
-        self.output.command(level).map_err(StageError::Output)?;
-        Ok(Driven {
-            current_a: level * self.scale.full_scale_a,
-            saturated,
-        })
+        self.output.command(level).map_err(StageError::Output)
     }
 
     fn healthy(&mut self) -> Result<(), StageError> {
@@ -248,20 +233,18 @@ mod tests {
 
     #[test]
     fn torque_is_scaled_and_limited() {
-        for (gain, wanted, current, level, saturated) in [
-            (10.0, 50.0, 5.0, 0.25, false),
-            (-10.0, 50.0, -5.0, -0.25, false),
-            (10.0, -150.0, -15.0, -0.75, false),
-            (10.0, 150.1, 15.0, 0.75, true),
-            (10.0, -1e9, -15.0, -0.75, true),
+        for (gain, wanted, level) in [
+            (10.0, 50.0, 0.25),
+            (-10.0, 50.0, -0.25),
+            (10.0, -150.0, -0.75),
+            (10.0, 150.1, 0.75),
+            (10.0, -1e9, -0.75),
         ] {
             let mut scale = SCALE;
             scale.gain_nm_per_a = gain;
             let mut stage = stage(scale, None, &[low(), high()], &[fault(false), fault(false)]);
             stage.enable().unwrap();
-            let driven = stage.drive(wanted).unwrap();
-            assert!((driven.current_a - current).abs() < 1e-5, "{wanted}");
-            assert_eq!(driven.saturated, saturated, "{wanted}");
+            stage.drive(wanted).unwrap();
             let levels = levels(stage);
             assert_eq!(levels[..2], [0.0, 0.0]);
             assert!((levels[2] - level).abs() < 1e-6, "{wanted}: {}", levels[2]);

@@ -149,8 +149,7 @@ impl<F: NorFlash> Store<F> {
 
     /// Writes one slot, the header last: without it there is no record.
     fn write(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<(), StoreError> {
-        let mut place = slot * SLOT_BYTES + HEADER_BYTES as u32;
-        for piece in bank.chunks(PIECE) {
+        for (place, piece) in places(slot, 1).zip(bank.chunks(PIECE)) {
             let mut padded = [0xFF; PIECE];
             copy(&mut padded, piece);
             let length = piece.len().next_multiple_of(F::WRITE_SIZE);
@@ -158,7 +157,6 @@ impl<F: NorFlash> Store<F> {
             self.flash
                 .write(place, words)
                 .map_err(|_| StoreError::Flash)?;
-            place += PIECE as u32;
         }
         self.flash
             .write(slot * SLOT_BYTES, &header.to_bytes())
@@ -175,11 +173,8 @@ impl<F: NorFlash> Store<F> {
     /// True if the slot reads back as written.
     fn is_kept(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<bool, StoreError> {
         let mut kept = self.piece(slot * SLOT_BYTES)? == header.to_bytes();
-        let mut place = slot * SLOT_BYTES + HEADER_BYTES as u32;
-        for piece in bank.chunks(PIECE) {
-            let bytes = self.piece(place)?;
-            kept &= bytes.starts_with(piece);
-            place += PIECE as u32;
+        for (place, piece) in places(slot, 1).zip(bank.chunks(PIECE)) {
+            kept &= self.piece(place)?.starts_with(piece);
         }
         Ok(kept)
     }
@@ -188,29 +183,23 @@ impl<F: NorFlash> Store<F> {
     fn is_whole(&mut self, record: Record) -> Result<bool, StoreError> {
         let mut crc = CRC.digest();
         let mut left = record.header.length as usize;
-        let mut place = record.slot * SLOT_BYTES + HEADER_BYTES as u32;
-        while left > 0 {
-            let bytes = self.piece(place)?;
+        for place in places(record.slot, 1) {
             let length = left.min(PIECE);
-            crc.update(bytes.get(..length).unwrap_or_default());
+            if length == 0 {
+                break;
+            }
+            crc.update(self.piece(place)?.get(..length).unwrap_or_default());
             left -= length;
-            place += PIECE as u32;
         }
         Ok(crc.finalize() == record.header.crc)
     }
 
     /// Reads the set into the front of `buffer`, which is long enough.
     fn read(&mut self, record: Record, buffer: &mut [u8]) -> Result<(), StoreError> {
-        let length = record.header.length as usize;
-        let mut place = record.slot * SLOT_BYTES + HEADER_BYTES as u32;
-        for part in buffer
-            .get_mut(..length)
-            .unwrap_or_default()
-            .chunks_mut(PIECE)
-        {
-            let bytes = self.piece(place)?;
-            copy(part, &bytes);
-            place += PIECE as u32;
+        let set = buffer.get_mut(..record.header.length as usize);
+        let parts = set.unwrap_or_default().chunks_mut(PIECE);
+        for (place, part) in places(record.slot, 1).zip(parts) {
+            copy(part, &self.piece(place)?);
         }
         Ok(())
     }
@@ -265,12 +254,10 @@ impl<F: NorFlash> Store<F> {
 
     /// True if every byte of the slot is blank.
     fn is_blank(&mut self, slot: u32) -> Result<bool, StoreError> {
-        let mut place = slot * SLOT_BYTES;
-        while place < (slot + 1) * SLOT_BYTES {
+        for place in places(slot, 0) {
             if self.piece(place)? != [0xFF; PIECE] {
                 return Ok(false);
             }
-            place += PIECE as u32;
         }
         Ok(true)
     }
@@ -286,4 +273,10 @@ impl<F: NorFlash> Store<F> {
     const fn slots() -> u32 {
         slots(F::ERASE_SIZE as u32)
     }
+}
+
+/// Places of the pieces of a slot from number `first` on; number 0 is its header.
+fn places(slot: u32, first: u32) -> impl Iterator<Item = u32> {
+    let start = slot * SLOT_BYTES + first * PIECE as u32;
+    (start..(slot + 1) * SLOT_BYTES).step_by(PIECE)
 }

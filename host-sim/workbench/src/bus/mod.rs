@@ -14,8 +14,8 @@ pub use commission::{Ask, Commissioning, Found, Step};
 pub use player::{BusPlayer, Jitter};
 pub use profile::{BitRates, JointEntry, Profile, frame_time_s};
 
-use foretorque_link::bus::{BusConfigError, BusFault};
-use foretorque_link::drives::Frame;
+use foretorque_link::bus::BusFault;
+use foretorque_link::drives::{Contradiction, Frame};
 use foretorque_link::safety::SafetyReason;
 use std::io;
 use std::time::{Duration, Instant};
@@ -74,7 +74,7 @@ pub enum BusError {
         /// File.
         file: String,
         /// The two values.
-        error: BusConfigError,
+        error: Contradiction,
     },
     /// The bus cannot be opened.
     #[error("bus {name}: {error}")]

@@ -6,6 +6,7 @@ use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::{Learner, ParameterSet};
 use foretorque_link::bus::{BusConfig, BusController, BusPhase, BusTick};
+use foretorque_link::drives::Contradiction;
 use foretorque_link::safety::{SafetyReason, SafetyState};
 use foretorque_link::session::{LearnerMailbox, NoClock};
 use std::time::Duration;
@@ -60,17 +61,11 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         config: BusConfig<N>,
         set: ParameterSet<N, P>,
         network: W,
-    ) -> Result<Self, foretorque_link::bus::BusConfigError> {
+    ) -> Result<Self, Contradiction> {
         let controller = BusController::new(config, set)?;
-        let learner = Learner::new(config.learner::<A, P>(), set).map_err(|_| {
-            foretorque_link::bus::BusConfigError {
-                joint: None,
-                field: "period_s",
-                value: config.period_s,
-                against: "the limits of the learner at a period of",
-                bound: config.period_s,
-            }
-        })?;
+        let (period, against) = (config.period_s, "the limits of the learner at a period of");
+        let learner = Learner::new(config.learner::<A, P>(), set)
+            .map_err(|_| Contradiction::new("period_s", period, against, period))?;
         Ok(Self {
             controller,
             network,

@@ -5,117 +5,88 @@ use std::fmt::Write as _;
 use anyhow::{Context as _, Result, bail, ensure};
 
 use super::{Budget, Line, Raise};
-use crate::anchors;
+
+const TOOLCHAIN: &str = "Toolchain: ";
+
+/// Head of the table; the first columns are measured, those between are for people.
+const TABLE: &str = "\
+| quantity | value | limit | to reach | best peer | who | how measured |
+|---|---:|---:|---:|---:|---|---|
+";
 
 impl Budget {
     pub(super) fn parse(text: &str) -> Result<Self> {
-        let toolchain = text
-            .lines()
-            .find_map(|line| line.strip_prefix("Toolchain: "))
+        let (introduction, rest) = text
+            .split_once(TOOLCHAIN)
             .context("there is no line `Toolchain: …`")?;
-        let mut lines = Vec::new();
-        let mut raises = Vec::new();
-        let number = |cell: &str, row: &str| {
-            let number = cell.parse();
-            number.with_context(|| format!("`{cell}` is no number in: {row}"))
-        };
+        let toolchain = rest.lines().next().unwrap_or_default().trim();
+        let last = text.rsplit_once("\n| `").map_or("", |(_, last)| last);
+        let rest = last.split_once('\n').map_or("", |(_, rest)| rest);
+        let (mut lines, mut raises) = (Vec::new(), Vec::new());
         for row in text.lines() {
             if !row.starts_with("| `") && !row.starts_with("| raise |") {
                 continue;
             }
+            let number = |cell: &str| {
+                let number = cell.parse();
+                number.with_context(|| format!("`{cell}` is no number in: {row}"))
+            };
+            let optional = |cell: &str| match cell {
+                "" => Ok(None),
+                _ => number(cell).map(Some),
+            };
             let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
             match cells[..] {
                 ["raise", quantity, old, new, why] => {
                     ensure!(!why.is_empty(), "a raise without a reason: {row}");
                     raises.push(Raise {
                         quantity: quantity.replace('`', ""),
-                        old: number(old, row)?,
-                        new: number(new, row)?,
-                        why: why.into(),
+                        old: number(old)?,
+                        new: number(new)?,
                     });
                 }
-                // The columns between are for people.
-                [quantity, value, limit, .., how] => lines.push(Line {
+                [quantity, value, limit, reach, peer, who, how] => lines.push(Line {
                     quantity: quantity.replace('`', ""),
-                    value: number(value, row)?,
-                    limit: number(limit, row)?,
+                    value: number(value)?,
+                    limit: number(limit)?,
+                    reach: optional(reach)?,
+                    peer: optional(peer)?,
+                    who: who.into(),
                     how: how.into(),
                 }),
-                _ => bail!("not four cells or more: {row}"),
+                _ => bail!("not seven cells, nor a raise: {row}"),
             }
         }
-        let toolchain = toolchain.trim().into();
         Ok(Self {
-            toolchain,
+            introduction: introduction.into(),
+            toolchain: toolchain.into(),
             lines,
             raises,
+            rest: rest.into(),
         })
     }
 
     pub(super) fn page(&self) -> String {
-        let mut page = format!("{INTRODUCTION}\nToolchain: {}\n\n", self.toolchain);
-        page.push_str(
-            "| quantity | value | limit | to reach | best peer | who | how measured |\n\
-             |---|---:|---:|---:|---:|---|---|\n",
-        );
-        for Line {
-            quantity,
-            value,
-            limit,
-            how,
-        } in &self.lines
-        {
-            let number = |value: Option<u32>| value.map_or(String::new(), |v| v.to_string());
-            let reach = number(anchors::reach(quantity));
-            let peer = anchors::peer(quantity);
-            let best = number(peer.map(|peer| peer.value));
-            let who = peer.map_or("", |peer| peer.who);
+        let Self {
+            introduction,
+            toolchain,
+            ..
+        } = self;
+        let mut page = format!("{introduction}{TOOLCHAIN}{toolchain}\n\n{TABLE}");
+        let number = |cell: Option<u64>| cell.map_or(String::new(), |value| value.to_string());
+        for line in &self.lines {
             let _ = writeln!(
                 page,
-                "| `{quantity}` | {value} | {limit} | {reach} | {best} | {who} | {how} |"
+                "| `{}` | {} | {} | {} | {} | {} | {} |",
+                line.quantity,
+                line.value,
+                line.limit,
+                number(line.reach),
+                number(line.peer),
+                line.who,
+                line.how
             );
         }
-        if !self.raises.is_empty() {
-            page.push_str(RAISES);
-        }
-        for Raise {
-            quantity,
-            old,
-            new,
-            why,
-        } in &self.raises
-        {
-            let _ = writeln!(page, "| raise | `{quantity}` | {old} | {new} | {why} |");
-        }
-        page
+        page + &self.rest
     }
 }
-
-const INTRODUCTION: &str = r#"# Budget
-
-The cost of the firmware.
-`cargo xtask bench` measures every line, fails where a value exceeds its limit, and reports improvements.
-`cargo xtask bench --accept` writes this page: values as measured, limits at most 2 % above them and never higher than before.
-No limit exceeds a goal that is reached.
-A raise is a line under the table, with quantity, old limit, new limit and reason; without it the bench fails.
-The bench knows a raise by a limit more than 2 % above its value.
-
-Instructions are executed instructions in the emulator, the same on every run: the mean over calls with varying inputs.
-Cycles are *estimates* for a Cortex-M4 with zero-wait memory.
-They follow from the executed instructions and the cycle tables of ARM DDI 0439; nothing was measured on silicon.
-Bytes are those of the flashable firmware.
-Lines without a number of joints are of the UR5, 6 joints; those of 7 are of the Panda, those of 8 of `host-sim/robots/eight.toml`.
-Another compiler than the one named here gets 5 % more.
-
-The column "to reach" is the goal of the project, the column "best peer" the best known code, measured alike.
-The compiler gcc fuses the multiplications of the peers with additions.
-This code never fuses: its results are the same bits on every machine.
-"#;
-
-/// Head of the raises.
-const RAISES: &str = "
-## Raised limits
-
-| | quantity | old | new | why |
-|---|---|---:|---:|---|
-";

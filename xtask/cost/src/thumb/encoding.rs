@@ -1,7 +1,7 @@
 //! The fields of an encoding, and the instruction that its row of the table makes of them.
 
 use super::table::{Kind, Row};
-use super::{Address, Class, Flow, Instruction, LR, PC, Registers, SP, Stack};
+use super::{Class, Flow, Instruction, LR, PC, Registers, SP, Stack};
 
 /// An instruction beside its row of the table.
 pub(super) struct Encoding {
@@ -36,10 +36,10 @@ impl Encoding {
         self.find(name).map_or(0, |(value, _)| value)
     }
 
-    /// `None` if undefined.
-    pub(super) fn name(&self) -> Option<&'static str> {
-        let name = self.row.1.split(' ').nth(self.field(b'o') as usize)?;
-        (name != "-").then_some(name)
+    /// Whether the row has a name for field `o`.
+    pub(super) fn is_defined(&self) -> bool {
+        let name = self.row.1.split(' ').nth(self.field(b'o') as usize);
+        name.is_some_and(|name| name != "-")
     }
 
     /// The number of a core register in the table's notation, `None` of a float one.
@@ -90,9 +90,8 @@ impl Encoding {
 
     pub(super) fn build(&self, address: u32, undefined: Instruction) -> Instruction {
         let &(_, _, kind, reads, writes) = self.row;
-        let mut reading = reads.split_whitespace();
-        let mut next = || self.number(reading.next()?);
-        let base = next().unwrap_or(0);
+        let base = reads.split_whitespace().next();
+        let base = base.and_then(|base| self.number(base)).unwrap_or(0);
         let back = self.field(b'w') == 1;
         let mut made = Instruction {
             class: Class::Branch,
@@ -123,27 +122,16 @@ impl Encoding {
                 moved = Some(sign * expand(self.field(b'i')) as i32);
             }
             Kind::Load(scale) => {
-                let offset = self.offset(scale);
-                let index = next();
                 made.class = Class::Load;
-                made.address = Some(Address {
-                    base,
-                    index: index.map(|index| (index, self.field(b'h'))),
-                    // Without a `p` before the access, the base moves behind it.
-                    offset: match self.find(b'p') {
-                        Some((0, _)) => 0,
-                        _ => offset,
-                    },
-                });
                 made.flow = match (made.writes.has(PC), base == SP) {
                     (true, true) => Flow::Return,
                     (true, false) => Flow::JumpIndirect,
                     (false, _) => Flow::Next,
                 };
-                moved = back.then_some(offset);
+                moved = back.then_some(self.offset(scale));
             }
             Kind::Store => {
-                let indexed = reading.count() == 2;
+                let indexed = reads.split_whitespace().count() == 3;
                 made.class = Class::Store { indexed };
                 moved = back.then_some(self.offset(1));
             }

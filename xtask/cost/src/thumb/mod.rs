@@ -116,18 +116,9 @@ pub(crate) enum Stack {
     Lost,
 }
 
-/// Address of a single load: base register (the program counter counts as aligned), index and shift, offset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Address {
-    pub(crate) base: u32,
-    pub(crate) index: Option<(u32, u32)>,
-    pub(crate) offset: i32,
-}
-
 /// One decoded instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Instruction {
-    pub(crate) name: &'static str,
     /// Bytes.
     pub(crate) size: u32,
     pub(crate) class: Class,
@@ -135,8 +126,6 @@ pub(crate) struct Instruction {
     pub(crate) writes: Registers,
     pub(crate) flow: Flow,
     pub(crate) stack: Stack,
-    /// Of single loads only.
-    pub(crate) address: Option<Address>,
 }
 
 /// Whether an instruction that begins with `first` has a second halfword.
@@ -152,20 +141,16 @@ pub(crate) fn decode(address: u32, first: u16, second: u16) -> Instruction {
         (NARROW, u32::from(first), 16)
     };
     let undefined = Instruction {
-        name: "udf",
         size: bits / 8,
         class: Class::Undefined,
         reads: Registers::NONE,
         writes: Registers::NONE,
         flow: Flow::Stop,
         stack: Stack::Kept,
-        address: None,
     };
     let mut encodings = rows.iter().map(|row| Encoding { row, word, bits });
-    let found = encodings.find(Encoding::fits);
-    let name = found.as_ref().and_then(Encoding::name);
-    match (found, name) {
-        (Some(encoding), Some(name)) => encoding.build(address, Instruction { name, ..undefined }),
+    match encodings.find(Encoding::fits) {
+        Some(encoding) if encoding.is_defined() => encoding.build(address, undefined),
         _ => undefined,
     }
 }

@@ -131,10 +131,7 @@ fn the_wait_of_the_start_is_bounded() {
         stuck: Some(value),
         ..Model::default()
     };
-    assert_eq!(
-        Bxcan::start(stuck(0), 0, POLLS).err(),
-        Some(CanError::NoAnswer)
-    );
+    assert!(Bxcan::start(stuck(0), 0, POLLS).is_none());
     // A bus that is never idle is one that the controller has not joined.
     let outside = Bxcan::start(stuck(INAK), 0, POLLS).unwrap();
     assert!(outside.is_off());
@@ -159,8 +156,8 @@ fn bit_rates_are_exact_or_refused() {
             );
         }
     }
-    assert_eq!(timing(42_000_000, 800_000), Err(CanError::BitRate));
-    assert_eq!(timing(42_000_000, 0), Err(CanError::BitRate));
+    assert_eq!(timing(42_000_000, 800_000), None);
+    assert_eq!(timing(42_000_000, 0), None);
 }
 
 #[test]

@@ -93,8 +93,8 @@ pub(super) fn start(clocks: &Clocks, wiring: Option<&Wiring<JOINTS>>) -> [FrameP
         unsafe { [Controller::Can1, Controller::Can2].map(|c| Peripheral::new(c)) };
     open_filters(&mut can1);
     let started = |registers| {
-        let timing = timing(clocks.apb1_hz, bit_s).ok()?;
-        Some(FramePort::Can(Bxcan::start(registers, timing, POLLS).ok()?))
+        let timing = timing(clocks.apb1_hz, bit_s)?;
+        Some(FramePort::Can(Bxcan::start(registers, timing, POLLS)?))
     };
     [can1, can2].map(|can| started(can).unwrap_or(FramePort::Dead))
 }

@@ -29,18 +29,6 @@ pub struct EncoderConfig {
     pub largest_step: u16,
 }
 
-/// State of an encoder from reading to reading.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct EncoderState {
-    /// Position in counts over all turns, without the zero offset; `None` while the turn is unknown. Wraps after 131 072
-    /// turns.
-    pub position: Option<i32>,
-    /// Readings that failed since the last good one. Saturates.
-    pub failed: u16,
-    /// Register whose value the next frame returns.
-    requested: Option<Register>,
-}
-
 /// Registers of the chip (AS5047P data sheet v1-06, table 21).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Register {
@@ -99,7 +87,11 @@ impl Register {
 pub struct AbsoluteEncoder<Spi> {
     spi: Spi,
     config: EncoderConfig,
-    state: EncoderState,
+    /// Position in counts over all turns, without the zero offset; `None` while the turn is unknown. Wraps after 131 072
+    /// turns.
+    position: Option<i32>,
+    /// Register whose value the next frame returns.
+    requested: Option<Register>,
     rad_per_count: f32,
 }
 
@@ -120,7 +112,8 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         Ok(Self {
             spi,
             config,
-            state: EncoderState::default(),
+            position: None,
+            requested: None,
             rad_per_count: sign * TAU / (TURN as f32 * config.ratio),
         })
     }
@@ -129,7 +122,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
     ///
     /// Errors: those of a reading; `NoReference` where `q` is not a position. The turn is then unknown.
     pub fn reference(&mut self, q: f32) -> Result<f32, EncoderError> {
-        self.state.position = None;
+        self.position = None;
         let within = self.read()?;
         let wanted = q / self.rad_per_count;
         let turns = (wanted - within as f32) / TURN as f32;
@@ -139,7 +132,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         }
         let half = if turns < 0.0 { -0.5 } else { 0.5 };
         let position = within + TURN * (turns + half) as i32;
-        self.state.position = Some(position);
+        self.position = Some(position);
         Ok(self.rad(position))
     }
 
@@ -149,22 +142,22 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
     /// which continues if the joint has moved less than `largest_step` at the next good reading.
     pub fn position(&mut self) -> Result<f32, EncoderError> {
         let within = self.read()?;
-        let last = self.state.position.ok_or(EncoderError::NoReference)?;
+        let last = self.position.ok_or(EncoderError::NoReference)?;
         // The shorter direction, from −half a turn to half a turn.
         let apart = within.wrapping_sub(last).wrapping_add(TURN / 2);
         let step = (apart & (TURN - 1)) - TURN / 2;
         if step.abs() > i32::from(self.config.largest_step) {
-            self.state.position = None;
+            self.position = None;
             return Err(EncoderError::Jump);
         }
         let position = last.wrapping_add(step);
-        self.state.position = Some(position);
+        self.position = Some(position);
         Ok(self.rad(position))
     }
 
-    /// State from reading to reading.
-    pub const fn state(&self) -> &EncoderState {
-        &self.state
+    /// The turn is known.
+    pub const fn has_turn(&self) -> bool {
+        self.position.is_some()
     }
 
     /// Gives the device back, as it is.
@@ -178,18 +171,13 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
 
     /// Counts since the zero, within one turn: 0 to 16 383.
     fn read(&mut self) -> Result<i32, EncoderError> {
-        let reading = self.angle();
-        self.state.failed = match reading {
-            Ok(_) => 0,
-            Err(_) => self.state.failed.saturating_add(1),
-        };
-        let counts = i32::from(reading?) - i32::from(self.config.zero_counts);
+        let counts = i32::from(self.angle()?) - i32::from(self.config.zero_counts);
         Ok(counts & (TURN - 1))
     }
 
     /// One reading: two frames; one after a start, a bus error or a flagged error, and three when the chip flags one.
     fn angle(&mut self) -> Result<u16, EncoderError> {
-        match self.state.requested {
+        match self.requested {
             Some(Register::Diagnostics) => {
                 let diagnostics = self.exchange(Register::Angle)?;
                 let angle = self.exchange(Register::Diagnostics)?;
@@ -218,10 +206,10 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
     fn exchange(&mut self, request: Register) -> Result<u16, EncoderError> {
         let mut frame = request.read().to_be_bytes();
         // The chip may not have received a frame that failed: then the next answer is not valid.
-        self.state.requested = None;
+        self.requested = None;
         let sent = self.spi.transfer_in_place(&mut frame);
         sent.map_err(|error| EncoderError::Bus(error.kind()))?;
-        self.state.requested = Some(request);
+        self.requested = Some(request);
         Ok(u16::from_be_bytes(frame))
     }
 }

@@ -113,35 +113,6 @@ fn nothing_is_written_while_torque_flows_or_learning_is_on() {
 }
 
 #[test]
-fn silence_ends_the_torque_of_a_board_paced_by_its_timer() {
-    let mut board = timed(Pacing::SysTick);
-    board.acknowledged(HostMessage::Arm);
-    let tick = |board: &mut Board, fresh: bool| board.period(fresh.then(|| sample(0))).unwrap();
-    let mut before = ZERO;
-    for _ in 0..40 {
-        before = tick(&mut board, true).total;
-    }
-    assert!(before[1].abs() > 10.0);
-    for k in 0..60 {
-        let torque = tick(&mut board, false);
-        let steps = torque.total.iter().zip(before).zip(Ur5::LIMITS);
-        for ((now, before), limits) in steps {
-            assert!((now - before).abs() <= limits.torque / 10.0);
-        }
-        before = torque.total;
-        let armed = torque.safety.state == SafetyState::Armed;
-        assert_eq!(armed, k < 50, "tick {k}");
-    }
-    let timed_out = (SafetyState::Disarmed, SafetyReason::CommandTimeout);
-    for _ in 0..20 {
-        let torque = tick(&mut board, true);
-        assert_eq!(torque.total, ZERO);
-        assert_eq!(status(&torque), timed_out);
-    }
-    assert!(!board.session.torque_enabled());
-}
-
-#[test]
 fn a_board_that_restarted_itself_waits_for_clear_fault() {
     use SafetyReason::{MotorHot, None, Restarted, Stopped};
     for (reset_reason, kept_fault, first) in [

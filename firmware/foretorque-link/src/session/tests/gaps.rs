@@ -3,49 +3,30 @@
 use super::*;
 use crate::safety::promises::{Promises, Timing};
 use crate::wire::SampleFlags;
-use foretorque::feedforward::Torque;
-use foretorque::learning::{Exchange, MAX_BRIDGED, TAPS};
+use foretorque::learning::{MAX_BRIDGED, TAPS};
 use proptest::prelude::*;
 
 /// Length of the motion filter at 1 kHz, ticks.
 const FILTER: u32 = 2 * TAPS as u32;
 
-/// The ticks of an armed board that its timer paces, made of its parts without link and session.
-struct Timed {
-    safety: Safety<N>,
-    feed_forward: FeedForward<Ur5, N, P>,
-    learner: Box<Learner<Ur5, N, P>>,
-    exchange: Exchange<N, P>,
-}
+/// A board that its timer paces: the periods without a sample are ticks.
+struct Timed(Board);
 
 impl Timed {
     fn armed() -> Self {
-        let set = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
-        let config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
-        let limits = SafetyLimits::for_arm::<Ur5, P>(1000);
-        let mut timed = Self {
-            safety: Safety::new(limits, SafetyReason::None),
-            feed_forward: FeedForward::new(config, set).unwrap(),
-            learner: Box::new(Learner::new(LearnerConfig::for_arm::<Ur5>(1e-3), set).unwrap()),
-            exchange: Exchange::new(),
-        };
+        let mut timed = Self(Board::new());
+        timed.0.pace(Pacing::SysTick);
         for _ in 0..ARM_SAMPLES {
             timed.tick(Some(0));
         }
-        timed.safety.arm().unwrap();
-        timed.feed_forward.set_learning(true);
+        timed.0.acknowledged(HostMessage::Arm);
+        timed.0.acknowledged(HostMessage::Learning { on: true });
         timed
     }
 
-    fn tick(&mut self, sample: Option<u32>) -> Torque<N> {
-        let sample = sample.map(|k| SampleFrame::new(&swinging(k)).sample(&[0.0; N]));
-        self.feed_forward.adopt(&mut self.exchange);
-        self.safety.period();
-        let sample = self.safety.admit(sample, 1, SafetyReason::None);
-        let torque = self.safety.step(&mut self.feed_forward, sample.as_ref());
-        let measured = sample.and_then(|sample| sample.measured);
-        let learning_sample = self.feed_forward.learning_sample(measured);
-        self.learner.learn(&learning_sample, &mut self.exchange);
+    fn tick(&mut self, sample: Option<u32>) -> TorqueFrame<N> {
+        let torque = self.0.period(sample.map(swinging)).unwrap();
+        self.0.learn();
         torque
     }
 }
@@ -62,6 +43,8 @@ impl Linked {
             board: Board::new(),
             period: 0,
         };
+        // A restart as of the other board: it is counted in the learner's state.
+        linked.board.pace(Pacing::Link);
         for _ in 0..ARM_SAMPLES {
             linked.sample(0);
         }
@@ -125,8 +108,8 @@ fn together(lost: &[u32]) -> (Timed, Linked, bool) {
         }
         let expected = timed.tick(Some(k));
         let given = linked.sample(k);
-        same &= (given.tick, given.flags) == (expected.tick, expected.flags.0)
-            && JointVector::from(given.total) == expected.total;
+        same &= (given.tick, given.flags, given.total)
+            == (expected.tick, expected.flags, expected.total);
     }
     (timed, linked, same)
 }
@@ -142,8 +125,8 @@ fn a_lost_sample_acts_as_a_tick_without_sample() {
         .collect();
     let (timed, linked, same) = together(&lost);
     assert!(same, "a torque differs");
-    assert!(timed.learner.state() == linked.board.learner.state());
-    let seen = timed.learner.state().statistics;
+    assert!(timed.0.learner.state() == linked.board.learner.state());
+    let seen = timed.0.learner.state().statistics;
     assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
     let stale = linked.board.statistics().stale_ticks;
     assert_eq!(stale, lost.len() as u32);
@@ -155,7 +138,7 @@ fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
     for first in 200..206 {
         let lost: Vec<u32> = (first..=first + MAX_BRIDGED as u32).collect();
         let (timed, linked, _) = together(&lost);
-        assert!(timed.learner.state() == linked.board.learner.state());
+        assert!(timed.0.learner.state() == linked.board.learner.state());
     }
     let mut linked = Linked::armed();
     assert!(linked.accepted(0..200) > 0);
@@ -181,6 +164,144 @@ fn after_a_hello_the_window_is_empty() {
     assert!(linked.accepted(0..100) > 0);
     linked.board.request(HostMessage::Hello);
     assert_eq!(linked.accepted(100..99 + FILTER), 0);
+}
+
+/// A board, its timer, a host that sends one sample a period, and the line between them.
+pub(super) struct Timeline {
+    pub(super) board: Board,
+    pub(super) promises: Promises<N>,
+    /// Number of the sample of the next period, and of the first that has not arrived.
+    pub(super) next: u32,
+    pub(super) arrives: u32,
+    random: u32,
+}
+
+impl Timeline {
+    pub(super) fn new(pacing: Pacing, seed: u32) -> Self {
+        Self::braked(pacing, 0, seed)
+    }
+
+    pub(super) fn braked(pacing: Pacing, brake_close_ms: u16, seed: u32) -> Self {
+        let mut board = Board::new();
+        board.acknowledged(configure(|wanted| {
+            (wanted.pacing, wanted.brake_close_ms) = (pacing, brake_close_ms);
+        }));
+        let close_us = 1000 * u32::from(brake_close_ms);
+        let limits = SafetyLimits::for_arm::<Ur5, P>(1000).with_brake(close_us, 1000);
+        let promises = Promises::new(limits, board.session.feed_forward().config());
+        let mut timeline = Self {
+            board,
+            promises,
+            next: 0,
+            arrives: 0,
+            random: seed,
+        };
+        timeline.timer();
+        timeline
+    }
+
+    pub(super) fn armed(pacing: Pacing) -> Self {
+        let mut timeline = Self::new(pacing, 1);
+        (0..ARM_SAMPLES).for_each(|_| timeline.period(Timing::Exact));
+        timeline.request(HostMessage::Arm);
+        (0..50).for_each(|_| timeline.period(Timing::Exact));
+        assert!(timeline.torque() > 20.0, "{pacing:?}");
+        timeline
+    }
+
+    pub(super) fn random(&mut self) -> u32 {
+        self.random = self
+            .random
+            .wrapping_mul(1_664_525)
+            .wrapping_add(1_013_904_223);
+        self.random >> 8
+    }
+
+    pub(super) fn torque(&self) -> f32 {
+        self.board
+            .session
+            .torque_output()
+            .iter()
+            .map(|t| t.abs())
+            .sum()
+    }
+
+    pub(super) fn state(&self) -> SafetyState {
+        self.board.session.safety().state
+    }
+
+    pub(super) fn observe(&mut self, replies: &Replies) {
+        let used = replies.iter().any(|(_, reply)| {
+            let stale = |torque: &TorqueFrame<N>| Flags(torque.flags).contains(Flags::STALE_SAMPLE);
+            matches!(reply, BoardMessage::Torque(torque) if !stale(torque))
+        });
+        let session = &self.board.session;
+        let (torque, enabled) = (*session.torque_output(), session.torque_enabled());
+        let checked = self
+            .promises
+            .check(&torque, enabled, session.safety(), used);
+        assert_eq!(
+            checked,
+            Ok(()),
+            "sample {}, {}",
+            self.next,
+            session.safety()
+        );
+    }
+
+    pub(super) fn timer(&mut self) -> usize {
+        self.promises.period();
+        let replies = self.board.timer();
+        self.observe(&replies);
+        replies.len()
+    }
+
+    pub(super) fn request(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
+        let arms = message == HostMessage::Arm;
+        let reply = self.board.request(message);
+        if arms && reply == ACK {
+            self.promises.permit();
+        }
+        self.observe(&Vec::new());
+        reply
+    }
+
+    pub(super) fn send(&mut self, frame: SampleFrame<N>) -> usize {
+        let replies = self.board.send(&HostMessage::Sample(frame));
+        self.observe(&replies);
+        replies.len()
+    }
+
+    /// One period of host, line and timer.
+    pub(super) fn period(&mut self, timing: Timing) {
+        self.next += 1;
+        let random = self.random();
+        let count = timing.arriving(self.next - self.arrives, random);
+        for _ in 0..count {
+            let frame = SampleFrame::new(&slow(self.arrives)).in_period(self.arrives as u8);
+            self.arrives += 1;
+            self.next = self.next.max(self.arrives);
+            self.send(frame);
+        }
+        self.timer();
+    }
+
+    /// A period in which the host sends nothing.
+    pub(super) fn silence(&mut self) {
+        self.next += 1;
+        self.arrives = self.next;
+        self.timer();
+    }
+}
+
+/// A motion slow enough for a joint at any number of samples at once.
+pub(super) fn slow(k: u32) -> JointSample<N> {
+    let t = k as f32 * 1e-3;
+    let q = JointVector::from_fn(|j, _| (t + j as f32).sin());
+    let mut sample = sample(0);
+    sample.desired.q = q;
+    sample.measured.as_mut().unwrap().q = q;
+    sample
 }
 
 proptest! {

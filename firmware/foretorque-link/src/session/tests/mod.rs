@@ -10,7 +10,7 @@ mod time;
 
 use super::*;
 use crate::bank::{NETWORK_SEED, ParameterBank};
-use crate::safety::{ARM_SAMPLES, Safety, SafetyLimits, SafetyState};
+use crate::safety::{ARM_SAMPLES, SafetyLimits, SafetyState};
 use crate::telemetry::Statistics;
 use crate::wire::{
     BankSource, BoardHello, CHUNK, CRC, Capabilities, ChipStatus, ClockSource, Decoder,
@@ -18,7 +18,6 @@ use crate::wire::{
     encode,
 };
 use foretorque::arm::ur5::Ur5;
-use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque::limits::Flags;
