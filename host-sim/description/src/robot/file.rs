@@ -3,8 +3,9 @@
 use super::body::{Coupling, CouplingFile};
 use super::{
     Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
-    RobotError, Workspace,
+    Workspace,
 };
+use crate::Refusal;
 use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -107,13 +108,13 @@ pub(super) struct InertiaFile {
 }
 
 /// Reads, checks and converts the text of a description.
-pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
+pub(super) fn parse(file: &str, text: &str) -> Result<Robot, Refusal> {
     let raw = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
     read(file, raw)
 }
 
 /// Checks and converts a description.
-pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, RobotError> {
+pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     let check = Check { file };
     check.that(
         Robot::is_name(&raw.name),
@@ -220,7 +221,7 @@ fn placement_of_frame(
     frame: &FrameFile,
     check: &Check<'_>,
     field: &str,
-) -> Result<Placement, RobotError> {
+) -> Result<Placement, Refusal> {
     check.finite(field, &frame.xyz_m)?;
     check.finite(field, &frame.rpy_rad)?;
     Ok(Placement::from_xyz_rpy(
@@ -234,7 +235,7 @@ fn link_in_craig_frame(
     end: &Placement,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<Link, RobotError> {
+) -> Result<Link, Refusal> {
     let i = &link.inertia_kg_m2;
     check.positive(&at("link.mass_kg"), link.mass_kg)?;
     check.finite(&at("link.com_m"), &link.com_m)?;
@@ -259,7 +260,7 @@ fn check_numbers(
     joint: &JointFile,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<(), RobotError> {
+) -> Result<(), Refusal> {
     let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
     for (field, value, positive) in [
         ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
@@ -301,7 +302,7 @@ fn capsules(
     end: &Placement,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<Vec<Capsule>, RobotError> {
+) -> Result<Vec<Capsule>, Refusal> {
     capsules
         .iter()
         .map(|capsule| {
@@ -323,15 +324,11 @@ struct Check<'a> {
 }
 
 impl Check<'_> {
-    fn error(&self, field: &str, problem: &str) -> RobotError {
-        RobotError::Field {
-            file: self.file.to_owned(),
-            field: field.to_owned(),
-            problem: problem.to_owned(),
-        }
+    fn error(&self, field: &str, problem: &str) -> Refusal {
+        Refusal::of(self.file, format!("{field}: {problem}"))
     }
 
-    fn that(&self, condition: bool, field: &str, problem: &str) -> Result<(), RobotError> {
+    fn that(&self, condition: bool, field: &str, problem: &str) -> Result<(), Refusal> {
         if condition {
             Ok(())
         } else {
@@ -339,7 +336,7 @@ impl Check<'_> {
         }
     }
 
-    fn finite(&self, field: &str, values: &[f64]) -> Result<(), RobotError> {
+    fn finite(&self, field: &str, values: &[f64]) -> Result<(), Refusal> {
         self.that(
             values.iter().all(|value| value.is_finite()),
             field,
@@ -347,7 +344,7 @@ impl Check<'_> {
         )
     }
 
-    fn positive(&self, field: &str, value: f64) -> Result<(), RobotError> {
+    fn positive(&self, field: &str, value: f64) -> Result<(), Refusal> {
         self.that(
             value.is_finite() && value > 0.0,
             field,
@@ -355,7 +352,7 @@ impl Check<'_> {
         )
     }
 
-    fn not_negative(&self, field: &str, value: f64) -> Result<(), RobotError> {
+    fn not_negative(&self, field: &str, value: f64) -> Result<(), Refusal> {
         self.that(
             value.is_finite() && value >= 0.0,
             field,
@@ -365,10 +362,7 @@ impl Check<'_> {
 }
 
 /// The parser's complaint, with its line.
-pub(super) fn syntax(file: &str, text: &str, error: &toml::de::Error) -> RobotError {
+pub(super) fn syntax(file: &str, text: &str, error: &toml::de::Error) -> Refusal {
     let (line, reason) = toml_complaint(text, error);
-    RobotError::Syntax {
-        file: file.to_owned(),
-        reason: format!("line {line}: {reason}"),
-    }
+    Refusal::of(file, format!("line {line}: {reason}"))
 }

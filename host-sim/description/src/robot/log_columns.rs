@@ -1,7 +1,7 @@
 //! Names and units of the columns of foreign logs.
 
-use super::RobotError;
-use crate::files::toml_complaint;
+use super::file::syntax;
+use crate::Refusal;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -219,20 +219,13 @@ pub const LOG_SOURCES: [&str; 4] = ["ros", "rtde", "franka", "lerobot"];
 impl LogColumns {
     /// Columns from a TOML file.
     ///
-    /// Errors: [`RobotError`], naming the file and the line.
-    pub fn load(path: &str) -> Result<Self, RobotError> {
-        let syntax = |reason| RobotError::Syntax {
-            file: path.to_owned(),
-            reason,
-        };
+    /// Errors: a line that names the file and its line.
+    pub fn load(path: &str) -> Result<Self, Refusal> {
         let text = std::fs::read_to_string(path).map_err(|error| {
             let known = LOG_SOURCES.join(", ");
-            syntax(format!("not one of {known}, and as a file: {error}"))
+            Refusal::of(path, format!("not one of {known}, and as a file: {error}"))
         })?;
-        toml::from_str(&text).map_err(|error| {
-            let (line, reason) = toml_complaint(&text, &error);
-            syntax(format!("line {line}: {reason}"))
-        })
+        toml::from_str(&text).map_err(|error| syntax(path, &text, &error))
     }
 
     /// Columns of the known sources, by name. A source may write its columns in more than one way.

@@ -6,10 +6,9 @@
 
 mod attributes;
 
-use super::UrdfProblem;
 use super::document::{
     Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, child,
-    children, number, optional, parse_number, parsed, problem, required, unique, vector,
+    children, no_robot, number, optional, parse_number, parsed, problem, required, unique, vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};
@@ -26,7 +25,7 @@ const MOST_CLASSES: usize = 64;
 /// The text with every `<include>` replaced by what the file in it has under its root.
 ///
 /// * `file` path of the text; included files lie beside it
-fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
+fn with_included(file: &Path, text: String) -> Result<String, String> {
     let mut text = text;
     for _ in 0..MOST_INCLUDES {
         let xml = parsed(&text)?;
@@ -52,7 +51,7 @@ fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
         }
         text = whole;
     }
-    Err(UrdfProblem::Syntax(format!(
+    Err(no_robot(&format!(
         "more than {MOST_INCLUDES} files include each other"
     )))
 }
@@ -60,7 +59,7 @@ fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
 /// Reads all bodies and joints under `<mujoco>`.
 ///
 /// * `file` path of the text; included files lie beside it
-pub(super) fn read(file: &Path, text: String) -> Result<Document, UrdfProblem> {
+pub(super) fn read(file: &Path, text: String) -> Result<Document, String> {
     let text = with_included(file, text)?;
     let xml = parsed(&text)?;
     let root = xml.root_element();
@@ -134,7 +133,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         link: &str,
         at: Placement,
         class: &str,
-    ) -> Result<(), UrdfProblem> {
+    ) -> Result<(), String> {
         for inner in node.children().filter(Node::is_element) {
             let class = inner.attribute("childclass").unwrap_or(class);
             match inner.tag_name().name() {
@@ -161,7 +160,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         parent: &str,
         pose: Placement,
         class: &str,
-    ) -> Result<(), UrdfProblem> {
+    ) -> Result<(), String> {
         let unnamed = || format!("body_{}", self.document.links.len());
         let name = node.attribute("name").map_or_else(unnamed, str::to_owned);
         let inertial = child(node, "inertial").map(|inertial| self.inertia(inertial));
@@ -210,7 +209,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Mass distribution in the body's frame; `None` without mass.
-    fn inertia(&self, node: Node<'a, 'input>) -> Result<Option<Link>, UrdfProblem> {
+    fn inertia(&self, node: Node<'a, 'input>) -> Result<Option<Link>, String> {
         let mass = number(node, "mass")?;
         let written = match (
             &numbers(node, "fullinertia")?[..],
@@ -243,7 +242,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         parent: &str,
         place: &Placement,
         class: &str,
-    ) -> Result<(JointElement, Placement), UrdfProblem> {
+    ) -> Result<(JointElement, Placement), String> {
         let unnamed = || format!("joint_{}", self.document.joints.len());
         let name = node.attribute("name").map_or_else(unnamed, str::to_owned);
         let of = |attribute: &str| self.value(node, class, attribute);
@@ -312,7 +311,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Takes the torque limit of the joint that an actuator drives, if it is the lower one.
-    fn actuator(&mut self, node: Node<'a, 'input>) -> Result<(), UrdfProblem> {
+    fn actuator(&mut self, node: Node<'a, 'input>) -> Result<(), String> {
         let Some(name) = node.attribute("joint") else {
             return Ok(());
         };
@@ -339,7 +338,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Marks the joints that an equality holds: they do not move on their own.
-    fn equality(&mut self, node: Node<'a, 'input>) -> Result<(), UrdfProblem> {
+    fn equality(&mut self, node: Node<'a, 'input>) -> Result<(), String> {
         if node.attribute("active") == Some("false") {
             return Ok(());
         }

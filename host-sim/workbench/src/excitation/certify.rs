@@ -1,6 +1,5 @@
 //! Check of an excitation: every limit on a fine grid, with bounds between its points.
 
-use super::ExcitationError;
 use super::certificate::{Certificate, LimitCheck};
 use super::information::{Criterion, NOISE, SAMPLES, condition_number};
 use super::objective::Objective;
@@ -8,6 +7,8 @@ use super::path::Excitation;
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
 use super::series::Extremes;
+use super::unseen;
+use crate::Refusal;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
@@ -41,7 +42,7 @@ pub(super) fn certify(
     excitation: &Excitation,
     objective: &Objective,
     origin: &Provenance,
-) -> Result<Certificate, ExcitationError> {
+) -> Result<Certificate, Refusal> {
     let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
     let step = excitation.period_s / points as f64;
     let states: Vec<Motion> = (0..points)
@@ -57,7 +58,7 @@ pub(super) fn certify(
     let sparse: Vec<Motion> = states.iter().step_by(10).copied().collect();
     let (condition_dh, worth, errors) = experiment
         .figures(&objective.rows, &sparse)
-        .ok_or(ExcitationError::Unseen)?;
+        .ok_or_else(unseen)?;
     let condition_board = condition_number(&board, &sparse);
     let has_dh = robot.joints.iter().all(|joint| joint.dh_frame.is_some());
     let frames = if has_dh {
@@ -111,7 +112,7 @@ fn joint_limits(
     excitation: &Excitation,
     points: usize,
     range_rad: f64,
-) -> Result<Vec<LimitCheck>, ExcitationError> {
+) -> Result<Vec<LimitCheck>, Refusal> {
     let allowed = Extremes::of_limits(robot, range_rad, 1.0)?;
     let omega = TAU / excitation.period_s;
     let mut checks = Vec::new();

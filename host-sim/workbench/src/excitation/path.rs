@@ -1,9 +1,10 @@
 //! The excitation of all joints, and its form on a board; a quick one, the best of many random series.
 
-use super::ExcitationError;
 use super::certificate::Certificate;
 use super::rows::{Frames, Rows};
 use super::series::{Extremes, JointSeries, ORDER};
+use super::{other_joints, refused};
+use crate::Refusal;
 use crate::dynamics::{Motion, State};
 use crate::robot::Robot;
 use foretorque_link::excitation::{self as board, ExcitationProgram, HARMONICS, MotionBounds};
@@ -48,24 +49,23 @@ impl Excitation {
 
     /// Checks that the excitation is one for this robot.
     ///
-    /// Errors: [`ExcitationError`].
-    pub fn check(&self, robot: &Robot) -> Result<(), ExcitationError> {
-        let shape = |problem: String| Err(ExcitationError::Shape { problem });
-        if self.robot != robot.name {
-            return Err(ExcitationError::Robot {
-                found: self.robot.clone(),
-                expected: robot.name.clone(),
-            });
+    /// Errors: a line with the reason why it is none.
+    pub fn check(&self, robot: &Robot) -> Result<(), Refusal> {
+        let (found, expected) = (&self.robot, &robot.name);
+        if found != expected {
+            return Err(Refusal(format!(
+                "excitation is for robot '{found}', not '{expected}'"
+            )));
         }
         if self.order != ORDER {
-            return shape(format!("order {} where {ORDER} is expected", self.order));
+            let problem = format!("order {} where {ORDER} is expected", self.order);
+            return Err(refused(problem));
         }
         if self.joints.len() != robot.joint_count() {
-            let (found, expected) = (self.joints.len(), robot.joint_count());
-            return Err(ExcitationError::joint_count(found, expected));
+            return Err(other_joints(self.joints.len(), robot.joint_count()));
         }
         if !(self.period_s.is_finite() && self.period_s > 0.0) {
-            return shape(format!("period of {} s", self.period_s));
+            return Err(refused(format!("period of {} s", self.period_s)));
         }
         Ok(())
     }
@@ -82,23 +82,21 @@ impl Excitation {
     ///
     /// * `periods` how often it is played; 0 until stopped      * `tracking_rad` tracking error that ends it, rad
     ///
-    /// Errors: [`ExcitationError::Shape`] when it has not `N` joints or a period that the board cannot count.
+    /// Errors: it has not `N` joints, or a period that the board cannot count.
     pub fn program<const N: usize>(
         &self,
         arm_hash: u32,
         periods: u16,
         tracking_rad: f32,
-    ) -> Result<ExcitationProgram<N>, ExcitationError> {
+    ) -> Result<ExcitationProgram<N>, Refusal> {
         let joints: &[JointSeries; N] = self
             .joints
             .as_slice()
             .try_into()
-            .map_err(|_| ExcitationError::joint_count(self.joints.len(), N))?;
+            .map_err(|_| other_joints(self.joints.len(), N))?;
         let period_us = (self.period_s * 1e6).round();
         if !(1.0..=f64::from(u32::MAX)).contains(&period_us) {
-            return Err(ExcitationError::Shape {
-                problem: format!("period of {} s", self.period_s),
-            });
+            return Err(refused(format!("period of {} s", self.period_s)));
         }
         let omega = TAU / self.period_s;
         Ok(ExcitationProgram {
@@ -157,39 +155,40 @@ impl Excitation {
     /// Every candidate starts and ends at rest and is scaled radially into the limits, so that all are feasible.
     /// `progress` is called after every candidate.
     ///
-    /// Errors: [`ExcitationError::Infeasible`].
+    /// Errors: the range of a joint is empty.
     pub fn quick(
         robot: &Robot,
         seed: u64,
         config: &QuickConfig,
         mut progress: impl FnMut(),
-    ) -> Result<Self, ExcitationError> {
+    ) -> Result<Self, Refusal> {
         let rows = Rows::new(robot, Frames::Board);
         let limits = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
         let omega = TAU / config.period_s;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let mut best: Option<(f64, Self)> = None;
-        for _ in 0..config.candidates.max(1) {
-            let joints: Vec<JointSeries> = limits
-                .iter()
-                .map(|limits| JointSeries::random(limits, omega, CHECK_POINTS, 1.0, &mut random))
-                .collect();
+        let mut draw = || {
+            let series =
+                |limits| JointSeries::random(limits, omega, CHECK_POINTS, 1.0, &mut random);
             let candidate = Self {
                 robot: robot.name.clone(),
                 period_s: config.period_s,
                 order: ORDER,
                 seed,
-                joints,
+                joints: limits.iter().map(series).collect(),
                 certificate: None,
             };
             let condition = candidate.condition_number(&rows);
-            if best.as_ref().is_none_or(|(lowest, _)| condition < *lowest) {
-                best = Some((condition, candidate));
-            }
             progress();
+            (condition, candidate)
+        };
+        let mut best = draw();
+        for _ in 1..config.candidates {
+            let candidate = draw();
+            if candidate.0 < best.0 {
+                best = candidate;
+            }
         }
-        best.map(|(_, excitation)| excitation)
-            .ok_or(ExcitationError::Infeasible { joint: 1 })
+        Ok(best.1)
     }
 
     /// Condition number of the rigid base regressor, rotors included, stacked over 100 instants of the period.

@@ -2,7 +2,6 @@
 
 mod speeds;
 
-use super::ExcitationError;
 use super::certificate::Certificate;
 use super::certify::{Provenance, certify};
 use super::clearance::Clearances;
@@ -12,6 +11,8 @@ use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Bases, VARIABLES};
 use super::series::{Extremes, JointSeries, ORDER};
+use super::{refused, unseen};
+use crate::Refusal;
 use crate::dynamics::{Motion, PerJoint};
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
@@ -86,13 +87,13 @@ impl Default for SearchConfig {
 /// With `given`, that trajectory is the only start, and the result is never worse than it unless it misses a limit.
 /// `progress(done, all)` is called from this thread.
 ///
-/// Errors: [`ExcitationError`]: an empty range, no start that keeps all limits.
+/// Errors: an empty range, no start that keeps all limits.
 pub fn optimise(
     robot: &Robot,
     config: &SearchConfig,
     given: Option<&Excitation>,
     mut progress: impl FnMut(usize, usize),
-) -> Result<Excitation, ExcitationError> {
+) -> Result<Excitation, Refusal> {
     let mut search = Search::new(robot, config)?;
     if given.is_none() {
         search.adapt_speed()?;
@@ -159,18 +160,17 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, ExcitationError> {
+    fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, Refusal> {
         let rows = Rows::new(robot, Frames::Dh);
         let limits = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
         let clearances = Clearances::new(robot);
         for index in 0..clearances.count() {
             let (largest_m, required_m) = (clearances.upper_bound(index), clearances.required);
             if largest_m < required_m {
-                return Err(ExcitationError::OutOfReach {
-                    of: clearances.name(index),
-                    largest_m,
-                    required_m,
-                });
+                let of = clearances.name(index);
+                return Err(refused(format!(
+                    "no path keeps all limits; in no pose is {of} clear by more than {largest_m:.3} m, asked for {required_m} m"
+                )));
             }
         }
         let fastest = PerJoint::from_fn(limits.len(), |j| limits[j].qd);
@@ -179,7 +179,7 @@ impl<'a> Search<'a> {
             .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
         let experiment = Experiment::new(robot, &rows);
-        let parameters = rows.parameters(robot).ok_or(ExcitationError::Unseen)?;
+        let parameters = rows.parameters(robot).ok_or_else(unseen)?;
         let bases = Bases::new();
         Ok(Self {
             objective: Objective {
@@ -268,7 +268,7 @@ impl<'a> Search<'a> {
     }
 
     /// The final rounds and the certificate; repeated with larger weights while a limit is violated.
-    fn finish(&self, start: &[f64]) -> Result<Excitation, ExcitationError> {
+    fn finish(&self, start: &[f64]) -> Result<Excitation, Refusal> {
         let mut variables = start.to_vec();
         for weight in FINAL_WEIGHTS {
             variables = descend(
@@ -320,7 +320,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn certified(&self, excitation: Excitation) -> Result<Excitation, ExcitationError> {
+    fn certified(&self, excitation: Excitation) -> Result<Excitation, Refusal> {
         let certificate = certify(self.robot, &excitation, &self.objective, &self.origin)?;
         Ok(Excitation {
             certificate: Some(Box::new(certificate)),
@@ -329,23 +329,20 @@ impl<'a> Search<'a> {
     }
 
     /// The best result that holds; the first of equals.
-    fn best(
-        &self,
-        results: &[Result<Excitation, ExcitationError>],
-    ) -> Result<Excitation, ExcitationError> {
+    fn best(&self, results: &[Result<Excitation, Refusal>]) -> Result<Excitation, Refusal> {
         let score = |certificate: &Certificate| match self.config.criterion {
             Criterion::Condition => certificate.condition_number_dh,
             Criterion::DOptimal => certificate.ln_spread,
             Criterion::VOptimal | Criterion::Constrained => certificate.predicted_nrmse_percent,
         };
         let mut best: Option<(f64, &Excitation)> = None;
-        let mut missed: Option<(f64, ExcitationError)> = None;
-        let mut refused = ExcitationError::Unseen;
+        let mut missed: Option<(f64, Refusal)> = None;
+        let mut last = unseen();
         for result in results {
             let excitation = match result {
                 Ok(excitation) => excitation,
                 Err(error) => {
-                    refused = error.clone();
+                    last = error.clone();
                     continue;
                 }
             };
@@ -368,7 +365,7 @@ impl<'a> Search<'a> {
         match (best, missed) {
             (Some((_, excitation)), _) => Ok(excitation.clone()),
             (None, Some((_, error))) => Err(error),
-            (None, None) => Err(refused),
+            (None, None) => Err(last),
         }
     }
 }

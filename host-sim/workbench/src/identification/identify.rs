@@ -15,6 +15,7 @@ use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::study::truths;
 use super::study::{Study, Unseen, key_of, recommended};
+use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
@@ -250,7 +251,7 @@ fn gather(
     }
     if dataset.sums.all.count() == 0.0 {
         let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
-        return Err(IdentifyError::NoMotion(names.join(", ")));
+        return Err(Refusal::of(names.join(", "), "no joint moves").into());
     }
     dataset.sums.all.check_rank(layout)?;
     if dataset.thinning > 1 {

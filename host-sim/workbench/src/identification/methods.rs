@@ -1,10 +1,10 @@
 //! Least squares: plain, weighted by joint, robust.
 
-use super::UnknownName;
 use super::columns::Layout;
 use super::dataset::SampleRow;
 use super::filter::median;
 use super::normal::{JointSums, NormalEquations, solve};
+use crate::Refusal;
 use crate::dynamics::PerJoint;
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
@@ -51,15 +51,13 @@ impl fmt::Display for MethodName {
 }
 
 impl FromStr for MethodName {
-    type Err = UnknownName;
+    type Err = Refusal;
 
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
+    fn from_str(text: &str) -> Result<Self, Refusal> {
         let known = METHODS.iter().find(|(_, name)| *name == text);
         let names = METHODS.map(|(_, name)| name).join(", ");
-        known.map_or_else(
-            || Err(UnknownName::Method(text.to_owned(), names)),
-            |(method, _)| Ok(*method),
-        )
+        let unknown = || Refusal(format!("unknown method '{text}': one of {names}"));
+        known.map(|(method, _)| *method).ok_or_else(unknown)
     }
 }
 

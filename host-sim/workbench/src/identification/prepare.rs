@@ -1,11 +1,11 @@
 //! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
 
-use super::IdentifyError;
 use super::cogging::SpeedSums;
 use super::columns::Layout;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
 use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::{IdentifyError, refused};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use nalgebra::DMatrix;
@@ -46,14 +46,24 @@ pub fn longest_period_s(logs: &[&Path], robot: &Robot) -> Result<f64, IdentifyEr
 impl PrepareConfig {
     /// Check that the rows of a log are near enough for the filters.
     ///
-    /// Errors: the log's; [`IdentifyError::CutOff`].
+    /// Errors: the log's; its rows are too far apart.
     pub(super) fn check(&self, path: &Path, robot: &Robot) -> Result<(), IdentifyError> {
         let period_s = WholeLog::open(path, robot)?.period_s();
         let torque = self.torque_hz.map(|hz| ("--torque-hz", hz));
         for (option, hz) in [("--motion-hz", self.motion_hz)].into_iter().chain(torque) {
             if Butterworth::new(hz, period_s).is_none() {
-                let (path, rate_hz) = (path.to_owned(), 1.0 / period_s);
-                return Err(IdentifyError::CutOff(path, option, hz, rate_hz));
+                let (rate_hz, share) = (1.0 / period_s, Butterworth::RATE_SHARE);
+                let hint = match rate_hz < 5.0 {
+                    true => ": are its times in ms (--units t=ms)?",
+                    false => "",
+                };
+                return Err(refused(
+                    path,
+                    format!(
+                        "{option} is {hz}, must be below {:.4}, {share} of its {rate_hz:.4} rows a second{hint}",
+                        share * rate_hz
+                    ),
+                ));
             }
         }
         Ok(())

@@ -6,6 +6,7 @@ use super::columns::Layout;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::NormalEquations;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
+use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::training::{ResidualConfig, train_residual};
 use foretorque::feedforward::JointNetwork;
@@ -59,7 +60,7 @@ pub(super) fn residual(
         .map(|epoch| losses.iter().map(|own| at(own, epoch)).sum::<f64>() / joints as f64)
         .collect();
     if networks.len() < joints {
-        return Err(IdentifyError::Untrained);
+        return Err(Refusal("a network could not be trained".to_owned()).into());
     }
     let (fit, cogging) = linear;
     let alone = data.sums.clean.subset(problem.layout, problem.board);

@@ -7,7 +7,7 @@ mod friction;
 #[cfg(test)]
 mod tests;
 
-pub use effects::{EffectsError, PlantEffects};
+pub use effects::PlantEffects;
 pub use events::{Events, Payload, Push, ReportFaults};
 
 use crate::dynamics::{Joints, ReferenceModel, State};

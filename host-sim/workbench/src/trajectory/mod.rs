@@ -6,8 +6,7 @@ pub mod cartesian;
 mod source;
 pub mod via;
 
-pub use source::TrajectoryError;
-
+use crate::Refusal;
 use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
 use crate::robot::Robot;
@@ -85,7 +84,7 @@ impl<const N: usize> Trajectory<N> {
     /// * `period_s` sampling step of a series or a path; of a table every row is checked
     ///
     /// Errors: the first motion that does not.
-    pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), BeyondLimits> {
+    pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), Refusal> {
         let every = |length_s: f64| {
             (0..=(length_s / period_s).round() as usize).map(move |k| k as f64 * period_s)
         };
@@ -107,26 +106,8 @@ impl<const N: usize> Trajectory<N> {
     }
 }
 
-/// A motion beyond the limits of a joint.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
-)]
-pub struct BeyondLimits {
-    /// The joint, from 1.
-    pub joint: usize,
-    /// Time after the trajectory's start, s.
-    pub t_s: f64,
-    /// Value of the trajectory, in `unit`.
-    pub asked: f64,
-    /// The limit, in `unit`.
-    pub limit: f64,
-    /// `rad`, `rad/s` or `rad/s²`.
-    pub unit: &'static str,
-}
-
 /// One motion keeps the limits, up to a rounding in a file of six digits.
-fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(), BeyondLimits> {
+fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(), Refusal> {
     for (j, joint) in robot.joints.iter().take(N).enumerate() {
         let limits = &joint.limits;
         let (velocity, acceleration) = (limits.velocity, limits.acceleration);
@@ -140,13 +121,10 @@ fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(
             (qdd, acceleration, qdd.abs() - acceleration, "rad/s²"),
         ] {
             if broken > 1e-6 * limit.abs() {
-                return Err(BeyondLimits {
-                    joint: j + 1,
-                    t_s,
-                    asked,
-                    limit,
-                    unit,
-                });
+                let joint = j + 1;
+                return Err(Refusal(format!(
+                    "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
+                )));
             }
         }
     }
@@ -223,10 +201,15 @@ mod tests {
         far.q[1] = -6.4;
         fast.qd[2] = -3.2;
         hard.qdd[5] = 10.5;
-        for (motion, joint, unit) in [(far, 2, "rad"), (fast, 3, "rad/s"), (hard, 6, "rad/s²")] {
+        for (motion, asked, limit) in [
+            (far, "joint 2 is asked for -6.400 rad", "-6.283 rad"),
+            (fast, "joint 3 is asked for -3.200 rad/s", "3.142 rad/s"),
+            (hard, "joint 6 is asked for 10.500 rad/s²", "10.000 rad/s²"),
+        ] {
             let path = Trajectory::Sampled(vec![(0.0, still), (0.1, motion)]);
-            let broken = path.check(&robot, 1e-3).expect_err(unit);
-            assert_eq!((broken.joint, broken.t_s, broken.unit), (joint, 0.1, unit));
+            let refused = path.check(&robot, 1e-3).expect_err(asked);
+            let line = format!("{asked} at 0.100 s, its limit is {limit}");
+            assert_eq!(refused.to_string(), line);
         }
         let sound = Trajectory::validation(&robot, 1);
         for sound in [Trajectory::Sampled(vec![(0.0, still)]), sound] {

@@ -83,13 +83,6 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         error.ends_with(" (--base 'upper' --tip 'hand' leave it out)"),
         "{error}"
     );
-    let missing = load(Path::new("/no/such.urdf"), &selection)
-        .unwrap_err()
-        .to_string();
-    assert!(
-        missing.starts_with("/no/such.urdf: cannot be read: "),
-        "{missing}"
-    );
     assert!(
         parse("t", "<robot", &selection)
             .unwrap_err()

@@ -17,8 +17,8 @@ impl Search<'_> {
     /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
     /// them. Gravity, friction and inertia are those of the description.
     ///
-    /// Errors: [`ExcitationError::TooWeak`], naming the joints.
-    pub(super) fn adapt_speed(&mut self) -> Result<(), ExcitationError> {
+    /// Errors: a line that names the joints that need more however slow they are.
+    pub(super) fn adapt_speed(&mut self) -> Result<(), Refusal> {
         let full = self.objective.limits.clone();
         for torque_share in TORQUE_SHARES {
             self.objective.torque = torques(self.robot, torque_share);
@@ -57,7 +57,10 @@ impl Search<'_> {
         });
         match weak.collect::<Vec<_>>() {
             weak if weak.is_empty() => Ok(()),
-            weak => Err(ExcitationError::TooWeak(weak)),
+            weak => {
+                let weak = weak.join("; ");
+                Err(refused(format!("{weak}: correct it with --torque-limits")))
+            }
         }
     }
 
