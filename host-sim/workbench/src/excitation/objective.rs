@@ -85,13 +85,7 @@ impl Objective {
     ) -> f64 {
         let (width, joints) = (self.rows.count(), self.rows.joints());
         let states: Vec<Motion> = (0..INSTANTS).map(|k| self.state(k, variables)).collect();
-        let mut transposed = DMatrix::zeros(width, INSTANTS * joints);
-        for (state, block) in states
-            .iter()
-            .zip(transposed.as_mut_slice().chunks_exact_mut(joints * width))
-        {
-            self.rows.write(state, SIGN_WIDTH_RAD_S, block);
-        }
+        let transposed = self.rows.transposed(&states, SIGN_WIDTH_RAD_S);
         let with_gradient = gradient.is_some();
         let mut adjoint = DMatrix::zeros(width, if with_gradient { INSTANTS * joints } else { 0 });
         let shares = |worth: &Worth| self.shares(worth, penalties.weight).1;
