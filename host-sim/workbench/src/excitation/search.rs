@@ -335,38 +335,26 @@ impl<'a> Search<'a> {
             Criterion::DOptimal => certificate.ln_spread,
             Criterion::VOptimal | Criterion::Constrained => certificate.predicted_nrmse_percent,
         };
-        let mut best: Option<(f64, &Excitation)> = None;
-        let mut missed: Option<(f64, Refusal)> = None;
-        let mut last = unseen();
-        for result in results {
-            let excitation = match result {
-                Ok(excitation) => excitation,
-                Err(error) => {
-                    last = error.clone();
-                    continue;
-                }
-            };
-            let Some(certificate) = &excitation.certificate else {
-                continue;
-            };
-            if certificate.holds {
-                let score = score(certificate);
-                if best.as_ref().is_none_or(|(lowest, _)| score < *lowest) {
-                    best = Some((score, excitation));
-                }
-            } else if let Some(violation) = certificate.violation()
-                && missed
-                    .as_ref()
-                    .is_none_or(|(least, _)| violation.0 < *least)
-            {
-                missed = Some(violation);
-            }
+        let found = || results.iter().flatten();
+        let certified = found().filter_map(|found| Some((found, found.certificate.as_deref()?)));
+        let (kept, missed): (Vec<_>, Vec<_>) =
+            certified.partition(|(_, certificate)| certificate.holds);
+        let best = kept.iter().min_by(|a, b| score(a.1).total_cmp(&score(b.1)));
+        if let Some((excitation, _)) = best {
+            return Ok((*excitation).clone());
         }
-        match (best, missed) {
-            (Some((_, excitation)), _) => Ok(excitation.clone()),
-            (None, Some((_, error))) => Err(error),
-            (None, None) => Err(last),
-        }
+        let missed = missed.iter().filter_map(|(_, missed)| missed.violation());
+        let nearest = missed.min_by(|a, b| a.0.total_cmp(&b.0));
+        let refused = || {
+            results
+                .iter()
+                .rev()
+                .find_map(|result| result.as_ref().err())
+        };
+        Err(nearest.map_or_else(
+            || refused().cloned().unwrap_or_else(unseen),
+            |(_, refusal)| refusal,
+        ))
     }
 }
 
