@@ -8,7 +8,7 @@ use super::normal::NormalEquations;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
 use crate::Refusal;
 use crate::dynamics::PerJoint;
-use crate::training::{ResidualConfig, train_residual};
+use crate::training::train_residual;
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
@@ -149,12 +149,8 @@ fn train(
             data.speeds
                 .residuals(layout, &fit.theta, cogging[joint], place, limits[joint])
         });
-        let config = ResidualConfig {
-            seed: problem.seed,
-            ..ResidualConfig::default()
-        };
         let fastest = problem.robot.joints[joint].limits.velocity;
-        train_residual(&halves, fastest, &config, &mut |step, loss| {
+        train_residual(&halves, fastest, problem.seed, &mut |step, loss| {
             // The receiver is gone only when the command already fails.
             let _ = sender.send((joint, step, loss));
         })
