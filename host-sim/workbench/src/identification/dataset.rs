@@ -99,6 +99,44 @@ impl RowSums {
     }
 }
 
+/// An even sample of a stream of items, of `most` at most.
+#[derive(Clone, Debug)]
+pub(super) struct Thinned<T> {
+    /// The sample.
+    pub(super) kept: Vec<T>,
+    /// Every how many of the items it has.
+    pub(super) stride: usize,
+    seen: usize,
+    most: usize,
+}
+
+impl<T> Thinned<T> {
+    pub(super) fn new(most: usize) -> Self {
+        Self {
+            kept: Vec::new(),
+            stride: 1,
+            seen: 0,
+            most,
+        }
+    }
+
+    /// Adds an item. Those that stay are the ones that a doubled stride would have taken.
+    pub(super) fn push(&mut self, item: T) {
+        if self.seen.is_multiple_of(self.stride) {
+            self.kept.push(item);
+        }
+        self.seen += 1;
+        if self.kept.len() > self.most {
+            let mut place = 0;
+            self.kept.retain(|_| {
+                place += 1;
+                place % 2 == 1
+            });
+            self.stride *= 2;
+        }
+    }
+}
+
 /// Most rows of the sample.
 const SAMPLE: usize = 60_000;
 
@@ -108,10 +146,8 @@ const SAMPLE: usize = 60_000;
 pub(super) struct Dataset {
     /// Sums over filtered rows.
     pub(super) sums: RowSums,
-    /// Every `thinning`-th of the rows that went into the sums.
-    pub(super) sample: Vec<SampleRow>,
-    /// See `sample`.
-    pub(super) thinning: usize,
+    /// A sample of the rows that went into the sums.
+    pub(super) sample: Thinned<SampleRow>,
     /// Sums over raw torques by speed.
     pub(super) speeds: SpeedSums,
     /// Rows read, edges left out.
@@ -127,8 +163,7 @@ impl Dataset {
     pub(super) fn new(layout: &Layout) -> Self {
         Self {
             sums: RowSums::new(layout),
-            sample: Vec::new(),
-            thinning: 1,
+            sample: Thinned::new(SAMPLE),
             speeds: SpeedSums::new(layout.joints()),
             rows_read: 0,
             still: PerJoint::repeat(layout.joints(), 0),
@@ -150,22 +185,8 @@ impl Dataset {
         let rows: Vec<SampleRow> = rows
             .map(|row| SampleRow::of(layout, preparation, prepared, row))
             .collect();
-        let before = self.sums.rows;
         self.sums.add(layout, &rows.iter().collect::<Vec<_>>());
-        for (place, row) in (before..).zip(rows) {
-            if place.is_multiple_of(self.thinning) {
-                self.sample.push(row);
-            }
-            if self.sample.len() > SAMPLE {
-                // Even thinning: the rows that stay are those a doubled stride would have taken.
-                let mut position = 0;
-                self.sample.retain(|_| {
-                    position += 1;
-                    position % 2 == 1
-                });
-                self.thinning *= 2;
-            }
-        }
+        rows.into_iter().for_each(|row| self.sample.push(row));
     }
 }
 

@@ -254,10 +254,10 @@ fn gather(
         return Err(Refusal::of(names.join(", "), "no joint moves").into());
     }
     dataset.sums.all.check_rank(layout)?;
-    if dataset.thinning > 1 {
+    if dataset.sample.stride > 1 {
         notes.push(format!(
             "irls, consistent, bp_black_box and bp_residual used every {}th of the rows in the sums; the other methods all of them",
-            dataset.thinning
+            dataset.sample.stride
         ));
     }
     Ok(dataset)

@@ -48,7 +48,7 @@ impl Study<'_> {
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
-        let splits = split(&self.problem, &self.dataset.sample)?;
+        let splits = split(&self.problem, &self.dataset.sample.kept)?;
         let described = description(self.problem.robot, layout);
         let mut methods = Methods::new();
         for (result, split) in self.results.iter().zip(splits) {
@@ -69,7 +69,7 @@ impl Study<'_> {
             }
             methods.insert(result.name.to_string(), record);
         }
-        let sample: Vec<&SampleRow> = self.dataset.sample.iter().collect();
+        let sample: Vec<&SampleRow> = self.dataset.sample.kept.iter().collect();
         for (name, candidate) in RIVALS.iter().zip(self.rivals()) {
             let record = MethodRecord {
                 split_80_20: errors(layout, &candidate, &sample),
@@ -145,7 +145,7 @@ impl Study<'_> {
             }
             if trace.is_empty() && kind == Unseen::Validation {
                 (self.progress)("growing shares of the logs");
-                let sample = &self.dataset.sample;
+                let sample = &self.dataset.sample.kept;
                 for (name, curve) in learning_curves(&self.problem, sample, &scores.sample) {
                     if let Some(method) = methods.get_mut(&name.to_string()) {
                         method.learning_curve = curve;
@@ -209,8 +209,9 @@ impl Study<'_> {
             ..
         } = self.problem;
         let sums = self.dataset.sums.clean.subset(layout, board);
-        let honest =
-            |fit: Fit| with_block_deviations(fit, (&sums, board), (&self.dataset.sample, layout));
+        let honest = |fit: Fit| {
+            with_block_deviations(fit, (&sums, board), (&self.dataset.sample.kept, layout))
+        };
         if let (true, Some(fit)) = (complete, &result.fit) {
             return Ok(honest(fit.clone()));
         }
@@ -245,14 +246,10 @@ pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize 
             logs => errors.sum::<f64>() / logs as f64,
         }
     };
-    let mut best = (0, f64::INFINITY);
-    for (place, result) in results.iter().enumerate() {
-        let on_board = !matches!(result.candidate, Candidate::BlackBox(_));
-        if on_board && error(result) < best.1 {
-            best = (place, error(result));
-        }
-    }
-    best.0
+    let on_board = |place: &usize| !matches!(results[*place].candidate, Candidate::BlackBox(_));
+    let order = |a: &usize, b: &usize| error(&results[*a]).total_cmp(&error(&results[*b]));
+    let places = (0..results.len()).filter(on_board);
+    places.min_by(order).unwrap_or(0)
 }
 
 /// The file's name, or its path where two files share a name.

@@ -1,12 +1,15 @@
 //! Torques of a log against those of the description: signs, sizes, order of the joints, noise.
 
 use super::{
-    DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, ROWS,
-    SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
+    DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE,
+    SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
 };
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::Robot;
 use nalgebra::{DMatrix, DVector};
+
+/// Most rows on which other orders of the joints are tried.
+const SWAP_ROWS: usize = 300;
 
 /// Regression of one joint's torque on the description's link torque, friction and a rotor.
 #[derive(Clone, Copy)]
@@ -253,7 +256,7 @@ fn order(
     rows: &[(Motion, PerJoint<f64>)],
     (own, extremes): (&[Explained], &[Extremes]),
 ) -> Option<String> {
-    let step = rows.len().div_ceil(ROWS / 2).max(1);
+    let step = rows.len().div_ceil(SWAP_ROWS).max(1);
     let rows: Vec<&(Motion, PerJoint<f64>)> = rows.iter().step_by(step).collect();
     // A torque of another sign or size than gravity's is no sound explanation.
     let cost = |explained: &Explained| {

@@ -12,6 +12,7 @@ pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
+use super::dataset::Thinned;
 use super::log::Roughness;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
@@ -25,7 +26,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 
 /// Most rows that are compared with the description.
-const ROWS: usize = 600;
+const ROWS: usize = 1199;
 /// Positions and torques this many times their limits are in other units.
 const BEYOND: f64 = 3.0;
 /// Gravity decides over sign and size where its RMS is this share of the torque limit.
@@ -108,14 +109,6 @@ impl Judgement {
     }
 }
 
-/// Rows of the logs that are compared.
-struct Sample {
-    rows: Vec<(Motion, PerJoint<f64>)>,
-    /// Every how many of the rows that count.
-    stride: usize,
-    seen: usize,
-}
-
 /// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
 #[derive(Clone, Copy, Default)]
 struct Extremes {
@@ -152,11 +145,7 @@ pub fn judge(
     if judgement.refuses() {
         return Ok(judgement);
     }
-    let mut sample = Sample {
-        rows: Vec::new(),
-        stride: 1,
-        seen: 0,
-    };
+    let mut sample = Thinned::new(ROWS);
     let mut sums = NormalEquations::new(&layout);
     let mut delays: Vec<Delay> = (0..joints).map(|_| Delay::default()).collect();
     let (mut gain, mut period_s) = (1.0, judgement.period_s);
@@ -172,7 +161,7 @@ pub fn judge(
                 let stride = own.stride();
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
-                    sample.add(prepared.states[row], tau);
+                    sample.push((prepared.states[row], tau));
                     for joint in 0..joints {
                         let x = prepared.columns(&layout, row, joint);
                         let qd = prepared.states[row].qd[joint];
@@ -200,28 +189,11 @@ pub fn judge(
             judgement.condition_number_equilibrated = Some(sums.condition_numbers(&layout).1);
         }
     }
-    compare(&mut judgement, robot, &sample.rows, &extremes, gain);
+    compare(&mut judgement, robot, &sample.kept, &extremes, gain);
     if !judgement.refuses() {
         delay(&mut judgement, &layout, &delays, period_s);
     }
     Ok(judgement)
-}
-
-impl Sample {
-    fn add(&mut self, state: Motion, tau: PerJoint<f64>) {
-        if self.seen.is_multiple_of(self.stride) {
-            self.rows.push((state, tau));
-        }
-        self.seen += 1;
-        if self.rows.len() >= 2 * ROWS {
-            let mut place = 0;
-            self.rows.retain(|_| {
-                place += 1;
-                place % 2 == 1
-            });
-            self.stride *= 2;
-        }
-    }
 }
 
 impl Extremes {
