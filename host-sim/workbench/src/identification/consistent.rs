@@ -269,17 +269,8 @@ fn unit(k: usize) -> Matrix4<f64> {
 
 /// The link with its second moments of mass raised to a least share of their sum.
 fn inside(link: &Link) -> Link {
-    let moments = link.second_moments();
-    let sum = moments.trace().max(LEAST * LEAST);
-    let mut eigen = moments.symmetric_eigen();
-    eigen
-        .eigenvalues
-        .apply(|value| *value = value.max(THINNEST * sum));
-    let moments = eigen.recompose();
-    Link {
-        inertia_com: moments.trace() * nalgebra::Matrix3::identity() - moments,
-        ..*link
-    }
+    let sum = link.second_moments().trace().max(LEAST * LEAST);
+    link.thickened(|_| THINNEST * sum)
 }
 
 /// The robot with links, rotors and friction from `z`; friction without a column is zero.
