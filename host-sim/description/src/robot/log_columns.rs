@@ -229,53 +229,19 @@ impl LogColumns {
     }
 
     /// Columns of the known sources, by name. A source may write its columns in more than one way.
-    pub fn known() -> Vec<(&'static str, Self)> {
-        let source = |name, t: &str, [q, qd, tau, i]: [&str; 4], units: &str| {
-            let names = |pattern: &str| {
-                (!pattern.is_empty()).then(|| ColumnNames::Pattern(pattern.to_owned()))
-            };
-            let columns = Self {
-                t_s: Some(t.to_owned()),
-                q_rad: names(q),
-                qd_rad_s: names(qd),
-                tau_nm: names(tau),
-                i_a: names(i),
-                units: units.parse().ok(),
-                ..Self::default()
-            };
-            (name, columns)
-        };
-        let ros = ["{name}/position", "{name}/velocity", "{name}/effort", ""];
-        let in_plot = [
-            "/joint_states/{name}/position",
-            "/joint_states/{name}/velocity",
-            "/joint_states/{name}/effort",
-            "",
-        ];
-        let rtde = [
-            "actual_q_{0}",
-            "actual_qd_{0}",
-            "actual_current_as_torque_{0}",
-            "actual_current_{0}",
-        ];
-        let franka = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]", ""];
-        let franka_plain = ["q[{0}]", "dq[{0}]", "tau_J[{0}]", ""];
-        let lerobot = [
-            "observation.state.{name}.pos",
-            "observation.state.{name}.vel",
-            "observation.state.{name}.torque",
-            "",
-        ];
-        let lerobot_plain = ["{name}.pos", "{name}.vel", "{name}.torque", ""];
-        vec![
-            source("ros", "t_s", ros, "t=s"),
-            source("ros", "__time", in_plot, "t=s"),
-            source("rtde", "timestamp", rtde, "t=s"),
-            source("franka", "time", franka, "t=ms"),
-            source("franka", "time", franka_plain, "t=ms"),
-            source("lerobot", "timestamp", lerobot, "q=deg"),
-            source("lerobot", "timestamp", lerobot_plain, "q=deg"),
-        ]
+    pub fn known() -> Vec<(String, Self)> {
+        #[derive(Deserialize)]
+        struct Known {
+            source: Vec<Source>,
+        }
+        #[derive(Deserialize)]
+        struct Source {
+            name: String,
+            columns: LogColumns,
+        }
+        let known: Known = toml::from_str(include_str!("log_sources.toml")).expect("is a table");
+        let pair = |source: Source| (source.name, source.columns);
+        known.source.into_iter().map(pair).collect()
     }
 }
 
@@ -309,7 +275,7 @@ mod tests {
             assert!(wrong.parse::<Units>().is_err(), "{wrong}");
         }
         for (name, columns) in LogColumns::known() {
-            assert!(LOG_SOURCES.contains(&name) && columns.units.is_some());
+            assert!(LOG_SOURCES.contains(&&*name) && columns.units.is_some());
         }
     }
 }
