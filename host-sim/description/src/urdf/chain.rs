@@ -191,11 +191,6 @@ fn friction(joint: &JointElement) -> Friction {
 
 fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, String> {
     let limit = &joint.limit;
-    let positive = |name: &str, value: Option<f64>| match value {
-        Some(value) if value > 0.0 => Ok(value),
-        Some(value) => Err(format!("has the {name} limit {value}, must be positive")),
-        None => Err(format!("has no {name} limit")),
-    };
     let velocity = limit
         .velocity
         .filter(|value| *value > 0.0)
@@ -226,10 +221,11 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
             );
         }
     };
-    let acceleration = match limit.acceleration {
-        Some(_) => positive("acceleration", limit.acceleration)?,
-        None => ACCELERATION,
-    };
+    let acceleration = limit.acceleration.unwrap_or(ACCELERATION);
+    if acceleration <= 0.0 {
+        let problem = format!("has the acceleration limit {acceleration}, must be positive");
+        return Err(problem);
+    }
     Ok(Limits {
         position,
         velocity,

@@ -3,23 +3,7 @@
 use super::*;
 
 /// Default classes, degrees, a turned and shifted joint, an actuator's limit, a gripper whose fingers are coupled.
-pub(super) const MJCF: &str = r#"<!DOCTYPE mujoco><mujoco model="Two">
-  <compiler angle="degree" eulerseq="XYZ"/>
-  <option gravity="0 0 -9.8"/>
-  <default><joint armature="0.1" damping="1"/>
-    <default class="arm"><joint axis="0 1 0" range="-90 90"/><motor ctrlrange="-30 30"/>
-      <default class="small"><joint armature="0.02" frictionloss="0.3"/></default></default></default>
-  <worldbody><body name="stand" pos="0 0 1" childclass="arm">
-    <body name="upper" pos="0 0 0.5"><inertial pos="0.2 0 0" mass="2" diaginertia="0.01 0.03 0.03"/>
-      <joint name="shoulder" actuatorfrcrange="-40 50"/>
-      <frame pos="0.3 0 0"><body name="fore" euler="90 0 0">
-        <inertial pos="0.2 0 0" mass="1" fullinertia="0.01 0.02 0.02 0 0 0"/>
-        <joint name="elbow" class="small" axis="0 0 1" pos="0.1 0 0" ref="10"/>
-        <body name="left"><joint name="slide" type="slide"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
-        <body name="right"><joint name="turn"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
-      </body></frame></body></body></worldbody>
-  <actuator><motor joint="elbow" class="arm" gear="0.5"/><position joint="shoulder" forcerange="-35 35"/></actuator>
-  <equality><joint joint1="turn" joint2="slide"/></equality></mujoco>"#;
+pub(super) const MJCF: &str = include_str!("two.xml");
 
 #[test]
 fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
