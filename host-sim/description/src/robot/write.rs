@@ -105,7 +105,6 @@ fn link_file(link: &Link) -> LinkFile {
 
 #[cfg(test)]
 mod tests {
-    use crate::dynamics::{Joints, ReferenceModel, State};
     use crate::robot::{Perturbation, Robot};
 
     #[test]
@@ -133,26 +132,5 @@ mod tests {
             }
             assert!((robot.flange.origin - again.flange.origin).amax() < 1e-12);
         }
-    }
-
-    #[test]
-    fn the_written_urdf_moves_as_the_robot_does() {
-        let robot = Robot::load("ur5").expect("built in");
-        let again = Robot::parse("again", &crate::urdf::write(&robot)).expect("a URDF");
-        let state = State {
-            q: Joints::from_fn(|j, _| 0.3 * j as f64 - 0.8),
-            qd: Joints::from_fn(|j, _| 0.5 - 0.2 * j as f64),
-            qdd: Joints::from_fn(|j, _| 1.0 - 0.3 * j as f64),
-        };
-        let mut bare = robot.clone();
-        for joint in &mut bare.joints {
-            joint.drive.rotor_inertia = 0.0;
-        }
-        let torque = |robot: &Robot| {
-            let model = ReferenceModel::<6>::new(robot).expect("six joints");
-            model.inverse_dynamics(&state)
-        };
-        assert!((torque(&bare) - torque(&again)).amax() < 1e-9);
-        assert_eq!(again.joints[0].friction.coulomb, 7.0);
     }
 }

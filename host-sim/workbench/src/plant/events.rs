@@ -32,21 +32,12 @@ pub struct Push<const N: usize> {
 const RISE_S: f64 = 0.01;
 
 /// All events of one run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Events<const N: usize> {
     /// Payloads; the first one whose interval contains the time counts.
     pub payloads: Vec<Payload>,
     /// Pushes; they add up.
     pub pushes: Vec<Push<N>>,
-}
-
-impl<const N: usize> Default for Events<N> {
-    fn default() -> Self {
-        Self {
-            payloads: Vec::new(),
-            pushes: Vec::new(),
-        }
-    }
 }
 
 impl<const N: usize> Events<N> {
@@ -116,12 +107,6 @@ impl ReportFaults {
         lost: 0.0,
         late: 0.0,
     };
-}
-
-impl Default for ReportFaults {
-    fn default() -> Self {
-        Self::NONE
-    }
 }
 
 /// The encoder bits that flip: from an eighth of a turn down to a thousandth.
@@ -277,11 +262,11 @@ mod tests {
 
     #[test]
     fn reports_equal_measurements_and_faults_keep_the_noise() {
-        let clean = reports(ReportFaults::default());
+        let clean = reports(ReportFaults::NONE);
         let bad = reports(ReportFaults {
             outliers: 0.01,
             lost: 0.1,
-            ..ReportFaults::default()
+            ..ReportFaults::NONE
         });
         for ((measured, report), (same, _)) in clean.iter().zip(&bad) {
             assert_eq!(Some(*measured), *report);
@@ -295,7 +280,7 @@ mod tests {
             torque_gain: -1.0,
             outliers: 0.01,
             glitches: 0.02,
-            ..ReportFaults::default()
+            ..ReportFaults::NONE
         });
         let (mut outliers, mut glitches) = (0, 0);
         for (measured, report) in &seen {
@@ -315,7 +300,7 @@ mod tests {
             lost: 0.05,
             late: 0.05,
             not_a_number: 0.03,
-            ..ReportFaults::default()
+            ..ReportFaults::NONE
         });
         let lost = seen.iter().filter(|(_, report)| report.is_none()).count();
         let late = seen.windows(2).filter(|pair| Some(pair[0].0) == pair[1].1);

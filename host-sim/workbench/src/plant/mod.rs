@@ -120,7 +120,7 @@ impl<const N: usize> Plant<N> {
             counts: Joints::from(robot.each(|joint| counts(joint.drive.encoder_bits))?),
             config,
             random: ChaCha8Rng::seed_from_u64(seed),
-            faults: ReportFaults::default(),
+            faults: ReportFaults::NONE,
             fault_random: stream(1),
             reported: None,
             queue: ReportQueue::default(),
