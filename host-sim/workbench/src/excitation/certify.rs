@@ -6,6 +6,7 @@ use super::objective::Objective;
 use super::path::Excitation;
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
+use super::search::SearchConfig;
 use super::series::Extremes;
 use super::unseen;
 use crate::Refusal;
@@ -18,37 +19,29 @@ use std::f64::consts::TAU;
 const POINTS: usize = 10_000;
 const STEP_S: f64 = 1e-3;
 
-/// Facts about the search that a certificate reports.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Provenance {
-    pub(super) criterion: Criterion,
-    pub(super) starts: usize,
-    /// Infinite where there is none.
-    pub(super) condition_limit: f64,
-    pub(super) range_rad: f64,
-    pub(super) speed_share: Vec<f64>,
-}
-
 const BETWEEN: &str = "position, velocity, acceleration: K h^2/8 with K the bound of the second derivative of the series; \
 clearance and torque: h/2 times a bound of their rate of change around each point; points closer where that exceeds a torque limit";
 const CONDITION_NOTE: &str = "raw SI base regressor of the links, first independent columns from left to right; it depends on \
 link frames and columns: compare with the same frames and columns only";
 
-/// Checks `excitation` against the limits of `robot`, its ranges no wider than ±`range_rad`.
+/// Checks `excitation` against the limits of `robot`, as `config` has them.
+///
+/// * `speed_share` share of the joints' limits that the search used
 ///
 /// Errors: an empty range, parameters that the path cannot distinguish.
 pub(super) fn certify(
     robot: &Robot,
     excitation: &Excitation,
     objective: &Objective,
-    origin: &Provenance,
+    config: &SearchConfig,
+    speed_share: &[f64],
 ) -> Result<Certificate, Refusal> {
     let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
     let step = excitation.period_s / points as f64;
     let states: Vec<Motion> = (0..points)
         .map(|k| excitation.motion(k as f64 * step))
         .collect();
-    let mut limits = joint_limits(robot, excitation, points, origin.range_rad)?;
+    let mut limits = joint_limits(robot, excitation, points, config.range_rad)?;
     limits.extend(torque_limits(robot, excitation, step, points));
     limits.extend(clearance_limits(excitation, objective, &states, step));
 
@@ -66,12 +59,12 @@ pub(super) fn certify(
     } else {
         "joint frames"
     };
-    if origin.criterion == Criterion::Constrained && origin.condition_limit.is_finite() {
+    if config.criterion == Criterion::Constrained && config.condition_limit.is_finite() {
         limits.push(LimitCheck::at_most(
             "condition number",
             &format!("base regressor of the links, {frames}"),
             "1",
-            (condition_dh, origin.condition_limit),
+            (condition_dh, config.condition_limit),
         ));
     }
     Ok(Certificate {
@@ -90,7 +83,7 @@ pub(super) fn certify(
             .map(|(error, joint)| error / joint.limits.torque)
             .collect(),
         predicted_error_nm: errors,
-        speed_share: origin.speed_share.clone(),
+        speed_share: speed_share.to_vec(),
         condition_number_frames: frames,
         predicted_nrmse_note: format!(
             "weighted least squares on {SAMPLES} samples at 1 kHz, white torque noise of {} % of the torque limits, base, \
@@ -100,9 +93,9 @@ pub(super) fn certify(
             objective.rows.count()
         ),
         ln_spread: worth.ln_spread,
-        criterion: origin.criterion,
+        criterion: config.criterion,
         seed: excitation.seed,
-        starts: origin.starts,
+        starts: config.starts,
         version: env!("CARGO_PKG_VERSION"),
     })
 }
@@ -251,14 +244,7 @@ mod tests {
             a_rad_s: [size, 0.0, 0.0, 0.0, -size],
             b_rad_s: [0.0; 5],
         };
-        let excitation = Excitation {
-            robot: robot.name.clone(),
-            period_s: 10.0,
-            order: 5,
-            seed: 1,
-            joints: vec![swing(1.4); 6],
-            certificate: None,
-        };
+        let excitation = Excitation::of(&robot, 10.0, 1, vec![swing(1.4); 6]);
         let worst = |robot: &Robot, points: usize| -> Vec<f64> {
             let checks = torque_limits(robot, &excitation, 10.0 / points as f64, points);
             checks.iter().map(|check| check.worst).collect()

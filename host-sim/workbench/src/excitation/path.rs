@@ -33,6 +33,18 @@ pub struct Excitation {
 }
 
 impl Excitation {
+    /// The series of all joints of a robot, without a certificate.
+    pub(super) fn of(robot: &Robot, period_s: f64, seed: u64, joints: Vec<JointSeries>) -> Self {
+        Self {
+            robot: robot.name.clone(),
+            period_s,
+            order: ORDER,
+            seed,
+            joints,
+            certificate: None,
+        }
+    }
+
     /// The motion at `t_s`, which may lie beyond the first period.
     pub fn motion(&self, t_s: f64) -> Motion {
         let omega = TAU / self.period_s;
@@ -122,6 +134,8 @@ impl Excitation {
     }
 }
 
+/// Share of every limit that a quick search uses.
+const LIMIT_SHARE: f64 = 0.95;
 /// Points of one period on which the limits are checked.
 const CHECK_POINTS: usize = 4000;
 
@@ -132,10 +146,6 @@ pub struct QuickConfig {
     pub period_s: f64,
     /// Random candidates.
     pub candidates: usize,
-    /// Share of every limit that is used.
-    pub limit_share: f64,
-    /// Range of every joint around zero, rad, on top of the robot's own.
-    pub range_rad: f64,
 }
 
 impl Default for QuickConfig {
@@ -143,8 +153,6 @@ impl Default for QuickConfig {
         Self {
             period_s: 10.0,
             candidates: 200,
-            limit_share: 0.95,
-            range_rad: PI,
         }
     }
 }
@@ -164,20 +172,14 @@ impl Excitation {
         mut progress: impl FnMut(),
     ) -> Result<Self, Refusal> {
         let rows = Rows::new(robot, Frames::Board);
-        let limits = Extremes::of_limits(robot, config.range_rad, config.limit_share)?;
+        let limits = Extremes::of_limits(robot, PI, LIMIT_SHARE)?;
         let omega = TAU / config.period_s;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = || {
             let series =
                 |limits| JointSeries::random(limits, omega, CHECK_POINTS, 1.0, &mut random);
-            let candidate = Self {
-                robot: robot.name.clone(),
-                period_s: config.period_s,
-                order: ORDER,
-                seed,
-                joints: limits.iter().map(series).collect(),
-                certificate: None,
-            };
+            let joints = limits.iter().map(series).collect();
+            let candidate = Self::of(robot, config.period_s, seed, joints);
             let condition = candidate.condition_number(&rows);
             progress();
             (condition, candidate)

@@ -3,14 +3,14 @@
 mod speeds;
 
 use super::certificate::Certificate;
-use super::certify::{Provenance, certify};
+use super::certify::certify;
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
 use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
 use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Bases, VARIABLES};
-use super::series::{Extremes, JointSeries, ORDER};
+use super::series::{Extremes, JointSeries};
 use super::{refused, unseen};
 use crate::Refusal;
 use crate::dynamics::{Motion, PerJoint};
@@ -139,7 +139,7 @@ pub fn optimise(
         return found;
     }
     // No start keeps the condition number: the certificates are made anew without it.
-    search.origin.condition_limit = f64::INFINITY;
+    search.config.condition_limit = f64::INFINITY;
     let again = |excitation: Excitation| search.certified(excitation);
     let results: Vec<_> = results
         .into_iter()
@@ -151,16 +151,17 @@ pub fn optimise(
 /// One robot and one task, ready for any number of starts.
 struct Search<'a> {
     robot: &'a Robot,
-    config: &'a SearchConfig,
+    config: SearchConfig,
     objective: Objective,
     bases: Bases,
-    origin: Provenance,
+    /// Share of the joints' velocity and acceleration limits that is used.
+    speed_share: Vec<f64>,
     /// Required clearance plus a margin for the motion between the certificate's points, m.
     clearance: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
-    fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, Refusal> {
+    fn new(robot: &'a Robot, config: &SearchConfig) -> Result<Self, Refusal> {
         let rows = Rows::new(robot, Frames::Dh);
         let limits = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
         let clearances = Clearances::new(robot);
@@ -194,15 +195,9 @@ impl<'a> Search<'a> {
                 rows,
             },
             robot,
-            config,
+            config: config.clone(),
             bases,
-            origin: Provenance {
-                criterion: config.criterion,
-                starts: config.starts,
-                condition_limit: config.condition_limit,
-                range_rad: config.range_rad,
-                speed_share: vec![1.0; robot.joint_count()],
-            },
+            speed_share: vec![1.0; robot.joint_count()],
             clearance,
         })
     }
@@ -310,18 +305,12 @@ impl<'a> Search<'a> {
             .zip(&self.objective.limits)
             .map(|(own, limits)| self.bases.series(own).fitted(&full(limits), omega, 10_000))
             .collect();
-        Excitation {
-            robot: self.robot.name.clone(),
-            period_s: self.config.period_s,
-            order: ORDER,
-            seed: self.config.seed,
-            joints,
-            certificate: None,
-        }
+        Excitation::of(self.robot, self.config.period_s, self.config.seed, joints)
     }
 
     fn certified(&self, excitation: Excitation) -> Result<Excitation, Refusal> {
-        let certificate = certify(self.robot, &excitation, &self.objective, &self.origin)?;
+        let (config, share) = (&self.config, &self.speed_share);
+        let certificate = certify(self.robot, &excitation, &self.objective, config, share)?;
         Ok(Excitation {
             certificate: Some(Box::new(certificate)),
             ..excitation
