@@ -3,7 +3,6 @@
 use super::file::syntax;
 use crate::Refusal;
 use serde::{Deserialize, Serialize};
-use std::fmt;
 use std::str::FromStr;
 
 /// Column names of one quantity of all joints.
@@ -167,12 +166,6 @@ impl TryFrom<String> for Units {
 impl From<Units> for String {
     fn from(units: Units) -> Self {
         units.text
-    }
-}
-
-impl fmt::Display for Units {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
     }
 }
 

@@ -353,25 +353,3 @@ impl Unwrap {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn angles_continue_where_a_joint_is_continuous_only() {
-        let mut unwrap = Unwrap {
-            continuous: [true, false].into(),
-            last: None,
-            offset: PerJoint::repeat(2, 0.0),
-            count: PerJoint::repeat(2, 0),
-        };
-        for (wrapped, whole) in [(3.1, 3.1), (-3.1, TAU - 3.1), (3.0, 3.0)] {
-            let mut q = [wrapped, 0.5].into();
-            unwrap.take(&mut q).expect("continuous");
-            assert!((q[0] - whole).abs() < 1e-12);
-        }
-        assert_eq!(*unwrap.count, [2, 0]);
-        assert!(unwrap.take(&mut [3.0, 6.5].into()).is_err());
-    }
-}

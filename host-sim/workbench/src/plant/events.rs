@@ -84,8 +84,6 @@ pub struct ReportFaults {
     pub torque_gain: f64,
     /// Share of torque values that are outliers.
     pub outliers: f64,
-    /// Size of an outlier, share of the torque limit.
-    pub outlier_size: f64,
     /// Share of position values in which one of the encoder's upper bits has flipped.
     pub glitches: f64,
     /// Share of reports with a non-finite number.
@@ -97,11 +95,10 @@ pub struct ReportFaults {
 }
 
 impl ReportFaults {
-    /// No fault; an outlier would be 20 % of the limit, twenty times the usual noise.
+    /// No fault.
     pub const NONE: Self = Self {
         torque_gain: 1.0,
         outliers: 0.0,
-        outlier_size: 0.2,
         glitches: 0.0,
         not_a_number: 0.0,
         lost: 0.0,
@@ -109,6 +106,8 @@ impl ReportFaults {
     };
 }
 
+/// Size of an outlier, share of the torque limit: twenty times the usual noise.
+const OUTLIER_SIZE: f64 = 0.2;
 /// The encoder bits that flip: from an eighth of a turn down to a thousandth.
 const FLIPPED_BITS: std::ops::Range<i32> = 3..11;
 
@@ -125,7 +124,7 @@ impl ReportFaults {
         for j in 0..N {
             if happens(self.outliers, random) {
                 let sign = if random.random::<bool>() { 1.0 } else { -1.0 };
-                seen.tau[j] += sign * self.outlier_size * torque_limit[j];
+                seen.tau[j] += sign * OUTLIER_SIZE * torque_limit[j];
             }
             if happens(self.glitches, random) {
                 let bit = random.random_range(FLIPPED_BITS);
