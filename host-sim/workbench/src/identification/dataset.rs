@@ -1,6 +1,6 @@
 //! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
-use super::cogging::{CoggingSums, SpeedSums};
+use super::cogging::{Border, SpeedSums};
 use super::columns::Layout;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
@@ -63,8 +63,8 @@ pub(super) struct RowSums {
     pub(super) all: NormalEquations,
     /// Sums over the same rows without spikes.
     pub(super) clean: NormalEquations,
-    /// Border of the clean sums by sine and cosine of cogging.
-    pub(super) cogging: CoggingSums,
+    /// Border of each joint's clean sums by sine and cosine of cogging.
+    pub(super) cogging: Vec<Border>,
     /// Number of rows.
     pub(super) rows: usize,
 }
@@ -72,10 +72,11 @@ pub(super) struct RowSums {
 impl RowSums {
     /// Sums over no rows.
     pub(super) fn new(layout: &Layout) -> Self {
+        let active = layout.active.iter();
         Self {
             all: NormalEquations::new(layout),
             clean: NormalEquations::new(layout),
-            cogging: CoggingSums::new(layout),
+            cogging: active.map(|active| Border::new(active.len())).collect(),
             rows: 0,
         }
     }
@@ -93,7 +94,7 @@ impl RowSums {
             }
             self.all.joints[joint].add(&x, &tau);
             self.clean.joints[joint].add(&x, &clean);
-            self.cogging.add(joint, &x, &basis, &clean);
+            self.cogging[joint].add(&x, &basis, &clean);
         }
         self.rows += rows.len();
     }

@@ -1,6 +1,6 @@
 //! Logs: the project's own columns, or foreign ones through the map of the robot description.
 
-use super::log_search::{is_there, joint_places, no_columns};
+use super::log_search::{has, is_there, joint_places, no_columns};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
 use crate::table::{Rows, TableError, TableProblem};
@@ -83,8 +83,7 @@ impl LogReader {
         let given = robot.log_columns.clone().unwrap_or_default();
         let rows = Rows::named(path, &given.names)?;
         let own = ["q1_rad", "q2_rad", "tau1_nm", "i1_a"];
-        let own =
-            given.source.is_none() && own.iter().any(|name| !matches!(rows.find(name), Ok(None)));
+        let own = given.source.is_none() && own.iter().any(|name| has(&rows, name));
         let mut notes = rows.notes().to_vec();
         let named = |map: &LogColumns| match &map.q_rad {
             Some(q) => is_there(&rows, q, robot),
@@ -150,14 +149,10 @@ impl LogReader {
                 })?,
             };
         }
-        if let (Some(true), Some(names)) = (
-            map.q_rad.as_ref().map(|q| q.around_name().is_some()),
-            &map.q_rad,
-        ) && mapped
-            && names
-                .of(0, &robot.joints[0].name)
-                .is_some_and(|own| matches!(rows.find(&own), Ok(None)))
-        {
+        let by_name = map.q_rad.as_ref();
+        let by_name = by_name.filter(|names| mapped && names.around_name().is_some());
+        let first = by_name.and_then(|names| names.of(0, &robot.joints[0].name));
+        if first.is_some_and(|first| !has(&rows, &first)) {
             notes.push(format!(
                 "{}: joint {} of the description is {} there, and so on",
                 path.display(),

@@ -121,13 +121,13 @@ fn fit(
         let mut rest = sums.clone();
         for (joint, amplitude) in cogging.iter().enumerate() {
             let sums = &mut rest.joints[joint];
-            data.sums.cogging.subtract(joint, *amplitude, sums);
+            data.sums.cogging[joint].subtract(*amplitude, sums);
         }
         let found = wls(&rest.subset(layout, board), board).ok_or(IdentifyError::Unsolvable)?;
         let found = widened(&found, layout, board);
         for (joint, amplitude) in cogging.iter_mut().enumerate() {
             let own = found.theta.select_rows(&layout.active[joint]);
-            *amplitude = data.sums.cogging.best(joint, &own, found.sigma[joint]);
+            *amplitude = data.sums.cogging[joint].best(&own, found.sigma[joint]);
         }
         fit = Some(found);
     }

@@ -127,7 +127,7 @@ pub(super) fn compare(
         judgement.joints.push(JointCheck {
             position_rad: seen.position,
             speed_rad_s: seen.speed,
-            torque_rms_nm: (seen.power / f64::max(seen.rows, 1.0)).sqrt(),
+            torque_rms_nm: seen.rms(),
             noise_floor_nm: seen.noise() * gain,
             unexplained_ratio: own[joint].rest,
             scale_ratio: (told && own[joint].heavy).then_some(own[joint].scale),

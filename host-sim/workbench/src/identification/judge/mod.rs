@@ -204,6 +204,11 @@ impl Extremes {
         }
     }
 
+    /// RMS torque while the joint moves, N·m.
+    fn rms(&self) -> f64 {
+        (self.power / f64::max(self.rows, 1.0)).sqrt()
+    }
+
     /// Noise of a row of the torque, N·m: the second difference of white noise has six times its variance.
     fn noise(&self) -> f64 {
         (self.scatter / f64::max(self.rows, 1.0) / 6.0).sqrt()
@@ -285,10 +290,7 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         return;
     }
     let strong: Vec<_> = joints()
-        .filter(|(_, (joint, seen))| {
-            let rms = (seen.power / f64::max(seen.rows, 1.0)).sqrt();
-            rms > BEYOND * joint.limits.torque
-        })
+        .filter(|(_, (joint, seen))| seen.rms() > BEYOND * joint.limits.torque)
         .collect();
     if let Some((number, (joint, seen))) = strong.first() {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
