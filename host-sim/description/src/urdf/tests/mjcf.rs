@@ -7,7 +7,7 @@ pub(super) const MJCF: &str = include_str!("two.xml");
 
 #[test]
 fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
-    let import = parse("t", MJCF, &Selection::default()).unwrap();
+    let import = imported(MJCF);
     let [shoulder, elbow] = &import.robot.joints[..] else {
         panic!("{:?}", import.notes);
     };
@@ -44,7 +44,7 @@ fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
 
 #[test]
 fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
-    let read = |text: &str| parse("t", text, &Selection::default()).unwrap();
+    let read = |text: &str| imported(text);
     let noted = |import: &Import| import.notes.iter().any(|note| note.contains("as radians"));
     let bare = MJCF.replace("angle=\"degree\" ", "");
     // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.
@@ -110,14 +110,7 @@ fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
             r#"<link name="left"/><joint name="left_finger_tip" type="revolute">
           <parent link="left"/><child link="left_tip"/></joint><link name="left_tip"/>"#,
         );
-    assert_eq!(
-        parse("t", &hand, &Selection::default())
-            .unwrap()
-            .robot
-            .joints
-            .len(),
-        2
-    );
+    assert_eq!(whole(&hand).joints.len(), 2);
     // A wrist that carries a jaw.
     let wrist = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
     let wrist = wrist.replace("\"hand\"", "\"gripper\"").replace(
@@ -127,12 +120,12 @@ fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
     let start = wrist.find(r#"<joint name="right_finger""#).unwrap();
     let end = wrist.find("<link name=\"right\"/>").unwrap();
     let wrist = format!("{}{}", &wrist[..start], &wrist[end + 21..]);
-    let robot = parse("t", &wrist, &Selection::default()).unwrap().robot;
+    let robot = whole(&wrist);
     assert_eq!((robot.joints.len(), &*robot.joints[2].name), (3, "wrist"));
     let palm = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
     let palm = palm.replace("hand", "gripper");
-    let robot = parse("t", &palm, &Selection::default()).unwrap().robot;
+    let robot = whole(&palm);
     assert_eq!(robot.joints[2].name, "wrist");
     let loose = ARM.replace("<robot ", "<!DOCTYPE robot><robot foo:bar=\"1\" ");
-    assert_eq!(parse("t", &loose, &TO_HAND).unwrap().robot.joints.len(), 2);
+    assert_eq!(to_hand(&loose).joints.len(), 2);
 }

@@ -19,6 +19,23 @@ const TO_HAND: Selection<'static> = Selection {
     link_mass: None,
 };
 
+/// The arm of a file, all of it.
+fn imported(text: &str) -> Import {
+    parse("t", text, &Selection::default()).unwrap()
+}
+
+fn whole(text: &str) -> Robot {
+    imported(text).robot
+}
+
+fn to_hand(text: &str) -> Robot {
+    parse("t", text, &TO_HAND).unwrap().robot
+}
+
+fn refusal(text: &str, selection: &Selection<'_>) -> String {
+    parse("t", text, selection).unwrap_err().to_string()
+}
+
 fn gravity_torques(robot: &Robot) -> Joints<2> {
     let model = ReferenceModel::<2>::new(robot).unwrap();
     model.gravity_torques(&Joints::zeros())
@@ -66,7 +83,7 @@ fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
             </robot>"#,
             axis.x, axis.y, axis.z
         );
-        let robot = parse("t", &text, &Selection::default()).unwrap().robot;
+        let robot = whole(&text);
         let model = ReferenceModel::<1>::new(&robot).unwrap();
         let unit = axis.normalize();
         let (com, mass) = (Vector3::new(0.3, 0.2, -0.1), 2.0);
@@ -100,7 +117,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
     let nothing = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
     assert_eq!(ARM.matches(tensor).count(), 2);
     let points = ARM.replace(tensor, nothing);
-    let bolted = parse("t", &points, &TO_HAND).unwrap().robot;
+    let bolted = to_hand(&points);
     assert_eq!(bolted.joints[1].link.mass, 1.5);
     let only_a_point = points.replacen(
         r#"<parent link="fore"/><child link="hand"/>"#,
@@ -111,7 +128,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
     let only_a_point =
         only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
     assert_eq!(
-        parse("t", &only_a_point, &TO_HAND).unwrap_err().to_string(),
+        refusal(&only_a_point, &TO_HAND),
         "t: link 'hand': inertia is not positive definite (--repair takes the nearest of a body)"
     );
 }
@@ -166,8 +183,8 @@ fn assumptions_are_listed_in_the_notes() {
 
 #[test]
 fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
-    let whole = parse("t", ARM, &Selection::default()).unwrap();
-    assert_eq!(whole.robot, parse("t", ARM, &TO_HAND).unwrap().robot);
+    let whole = imported(ARM);
+    assert_eq!(whole.robot, to_hand(ARM));
     let end = "the arm ends at link 'hand'".to_owned();
     assert!(whole.notes.contains(&end), "{:?}", whole.notes);
     // A jaw that turns is a finger by its name; without such a name it is a joint.
@@ -176,7 +193,7 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
         "\"jaw\" type=\"revolute\"",
     );
     let jaw = jaw.replace("<mimic joint=\"left_finger\"/>", "<mimic joint=\"jaw\"/>");
-    let ends = parse("t", &jaw, &Selection::default()).unwrap();
+    let ends = imported(&jaw);
     assert_eq!(ends.robot.joint_count(), 2);
     let by_joint = Selection {
         base: Some("elbow"),
@@ -193,9 +210,7 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
         <joint name="a" type="revolute"><parent link="base"/><child link="b"/></joint><link name="b"/>
         <joint name="c" type="revolute"><parent link="b"/><child link="d"/></joint><link name="d"/>
         <joint name="e" type="revolute"><parent link="d"/><child link="f"/></joint><link name="f"/></robot>"#);
-    let error = parse("t", &torso, &Selection::default())
-        .unwrap_err()
-        .to_string();
+    let error = refusal(&torso, &Selection::default());
     let expected =
         "t: the tree branches at link 'world': choose the arm's end with --tip 'f' or --tip 'fore'";
     assert_eq!(error, expected);
@@ -206,7 +221,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     let bare = ARM
         .replace(" effort=\"40\"", "")
         .replacen("velocity=\"3\"", "velocity=\"0\"", 1);
-    let import = parse("t", &bare, &Selection::default()).unwrap();
+    let import = imported(&bare);
     let shoulder = import.robot.joints[0].limits;
     // 1.5 of 9.81 (3·0.137 + 1.5·(0.4 + 0.167)) N·m, and 1 N·m.
     assert_eq!((shoulder.velocity, shoulder.torque), (2.0, 20.0));
@@ -237,10 +252,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         .second_moments()
         .symmetric_eigenvalues();
     assert!(moments.min() > 0.0);
-    assert_eq!(
-        parse("t", ARM, &repair).unwrap().robot,
-        parse("t", ARM, &TO_HAND).unwrap().robot
-    );
+    assert_eq!(parse("t", ARM, &repair).unwrap().robot, to_hand(ARM));
     let weld = Selection {
         weld: true,
         ..Selection::default()
@@ -263,12 +275,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         "<inertia ixx=\"0\" ixy=\"0\" ixz=\"0\" iyy=\"0\" iyz=\"0\" izz=\"0\"/>",
         1,
     );
-    assert!(
-        parse("t", &hollow, &Selection::default())
-            .unwrap_err()
-            .to_string()
-            .ends_with("--link-mass")
-    );
+    assert!(refusal(&hollow, &Selection::default()).ends_with("--link-mass"));
     let rods = Selection {
         link_mass: Some(2.0),
         ..Selection::default()
