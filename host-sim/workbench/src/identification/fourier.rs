@@ -169,7 +169,6 @@ impl Fold {
         let series = Harmonics::of(&self.q, joints, harmonics);
         let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
         Prepared {
-            index: 0,
             states: states(joints, [&q, &qd, &qdd]),
             panel: Vec::new(),
             cogging_basis: Vec::new(),

@@ -259,8 +259,6 @@ pub(super) fn states(joints: usize, tables: [&[f64]; 3]) -> Vec<Motion> {
 /// A stretch of a log, with the rows around it that its filters need.
 #[derive(Clone, Debug)]
 pub struct Stretch {
-    /// Number of the stretch, over all logs.
-    pub index: usize,
     /// Rows, margins included.
     pub rows: Vec<LogRow>,
     /// The rows that count.
@@ -270,8 +268,6 @@ pub struct Stretch {
 /// Rows of the linear model from a stretch.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// Number of the stretch.
-    pub index: usize,
     /// Motion of all its rows, margins included.
     pub states: Vec<Motion>,
     /// Active columns of all joints, row after row, filtered.
@@ -302,7 +298,6 @@ impl Prepared {
             .collect();
         let (clean, spikes) = despiked(&tau, layout.joints(), preparation.spike_reach());
         let raw = Self {
-            index: stretch.index,
             states: preparation.motion(&stretch.rows),
             panel: Vec::new(),
             cogging_basis: Vec::new(),
