@@ -142,6 +142,19 @@ pub struct Parameter {
     pub friction: Option<(FrictionTerm, usize)>,
 }
 
+impl Parameter {
+    /// Viscous or Coulomb friction in a description; none of another parameter.
+    pub(super) fn plain_friction(&self, robot: &Robot) -> Option<f64> {
+        let (term, joint) = self.friction?;
+        let friction = &robot.joints[joint].friction;
+        match term {
+            Board(FrictionColumn::Viscous) => Some(friction.viscous),
+            Board(FrictionColumn::Coulomb) => Some(friction.coulomb),
+            _ => None,
+        }
+    }
+}
+
 /// Order of the parameters, and the columns of each joint's equation.
 #[derive(Clone, Debug)]
 pub struct Layout {

@@ -169,12 +169,9 @@ impl Cone {
         }
         let mut scalars: Vec<usize> = (rotors..full).collect();
         for (k, parameter) in layout.parameters.iter().skip(layout.base).enumerate() {
-            let friction = |joint: usize| &robot.joints[joint].friction;
-            let described = match parameter.friction {
-                Some((Board(FrictionColumn::Viscous), joint)) => friction(joint).viscous,
-                Some((Board(FrictionColumn::Coulomb), joint)) => friction(joint).coulomb,
-                // Peaks, offsets and cogging have no sign; load friction has one, but no value in the description.
-                _ => continue,
+            // Peaks, offsets and cogging have no sign; load friction has one, but no value in the description.
+            let Some(described) = parameter.plain_friction(robot) else {
+                continue;
             };
             scalars.push(full + k);
             centre[full + k] = described.max(LEAST);
