@@ -100,7 +100,7 @@ pub fn optimise(
     }
     let threads = config.threads.map_or_else(cores, NonZeroUsize::get);
     let starts = match given {
-        Some(excitation) => vec![search.variables(excitation)],
+        Some(excitation) => vec![search.variables(&excitation.joints)],
         None => search.starts(),
     };
     let finalists = starts.len().div_ceil(FINALIST_EVERY);
@@ -221,9 +221,7 @@ impl<'a> Search<'a> {
         let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
-                let series = self.random_series(stream as u64);
-                let variables = series.iter().flat_map(|joint| self.bases.variables(joint));
-                let variables: Vec<f64> = variables.collect();
+                let variables = self.variables(&self.random_series(stream as u64));
                 let value = self.objective.value(&variables, &penalties, None);
                 (value, variables)
             })
@@ -234,9 +232,9 @@ impl<'a> Search<'a> {
         pool.into_iter().map(|(_, variables)| variables).collect()
     }
 
-    fn variables(&self, excitation: &Excitation) -> Vec<f64> {
+    fn variables(&self, joints: &[JointSeries]) -> Vec<f64> {
         let variables = |joint| self.bases.variables(joint);
-        excitation.joints.iter().flat_map(variables).collect()
+        joints.iter().flat_map(variables).collect()
     }
 
     fn penalties(&self, weight: f64, extra_clearance: f64) -> PenaltyWeights {
@@ -246,33 +244,25 @@ impl<'a> Search<'a> {
         }
     }
 
+    /// Rounds with growing weights of the penalties.
+    fn rounds(&self, weights: &[f64], iterations: usize, start: &[f64]) -> Vec<f64> {
+        weights.iter().fold(start.to_vec(), |variables, weight| {
+            let penalties = self.penalties(*weight, 0.0);
+            descend(&self.objective, &penalties, variables, iterations)
+        })
+    }
+
     /// The coarse rounds of a start: value and variables at their end.
     fn coarse_search(&self, start: &[f64]) -> (f64, Vec<f64>) {
-        let mut variables = start.to_vec();
-        for weight in COARSE_WEIGHTS {
-            let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
-            variables = descend(
-                &self.objective,
-                &self.penalties(weight, 0.0),
-                variables,
-                iterations,
-            );
-        }
+        let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
+        let variables = self.rounds(&COARSE_WEIGHTS, iterations, start);
         let last = self.penalties(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1], 0.0);
         (self.objective.value(&variables, &last, None), variables)
     }
 
     /// The final rounds and the certificate; repeated with larger weights while a limit is violated.
     fn finish(&self, start: &[f64]) -> Result<Excitation, Refusal> {
-        let mut variables = start.to_vec();
-        for weight in FINAL_WEIGHTS {
-            variables = descend(
-                &self.objective,
-                &self.penalties(weight, 0.0),
-                variables,
-                self.config.iterations,
-            );
-        }
+        let mut variables = self.rounds(&FINAL_WEIGHTS, self.config.iterations, start);
         let mut excitation = self.certified(self.fitted(&variables))?;
         let mut objective = None;
         for repair in 1..=REPAIRS {
