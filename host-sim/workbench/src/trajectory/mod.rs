@@ -85,19 +85,17 @@ impl<const N: usize> Trajectory<N> {
     ///
     /// Errors: the first motion that does not.
     pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), Refusal> {
-        let every = |length_s: f64| {
-            (0..=(length_s / period_s).round() as usize).map(move |k| k as f64 * period_s)
+        let every = |length_s: f64| -> Vec<f64> {
+            let steps = 0..=(length_s / period_s).round() as usize;
+            steps.map(|k| k as f64 * period_s).collect()
         };
-        match self {
-            Self::Excitation { series, duration_s } => every(series.period_s.min(*duration_s))
-                .try_for_each(|t_s| within::<N>(robot, t_s, &series.at(t_s))),
-            Self::Via(path) => {
-                every(path.duration_s()).try_for_each(|t_s| within(robot, t_s, &path.at(t_s)))
-            }
-            Self::Sampled(samples) => samples
-                .iter()
-                .try_for_each(|(t_s, state)| within(robot, *t_s, state)),
-        }
+        let times_s = match self {
+            Self::Excitation { series, duration_s } => every(series.period_s.min(*duration_s)),
+            Self::Via(path) => every(path.duration_s()),
+            Self::Sampled(samples) => samples.iter().map(|(t_s, _)| *t_s).collect(),
+        };
+        let mut times_s = times_s.into_iter();
+        times_s.try_for_each(|t_s| within(robot, t_s, &self.at(t_s)))
     }
 
     /// Duration in ticks of `period_s`.
@@ -155,30 +153,12 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_weak_arm_moves_where_it_can_hold_itself() {
-        let mut robot = Robot::load("ur5").expect("built in");
-        // Stretched out, gravity takes 56 N·m of the shoulder.
-        robot.joints[1].limits.torque = 45.0;
-        let model = crate::dynamics::ReferenceModel::<6>::new(&robot).expect("six joints");
+    /// The validation path stays away from the ends of the ranges, and takes a `share` of the torque limits at most.
+    fn stays_inside<const N: usize>(robot: &Robot, share: f64) {
+        let model = crate::dynamics::ReferenceModel::<N>::new(robot).expect("its size");
         for seed in 0..10 {
-            let path = Trajectory::<6>::validation(&robot, seed);
-            path.check(&robot, 1e-3).expect("inside the limits");
-            for k in 0..3000 {
-                let state = path.at(f64::from(k) * 1e-2);
-                let torque = model.inverse_dynamics(&state)[1].abs();
-                assert!(torque < 0.8 * 45.0, "seed {seed}: {torque} N·m");
-            }
-        }
-    }
-
-    #[test]
-    fn the_validation_path_of_the_panda_stays_inside_its_ranges_and_torques() {
-        let robot = Robot::load("panda").expect("built in");
-        let model = crate::dynamics::ReferenceModel::<7>::new(&robot).expect("seven joints");
-        for seed in 0..10 {
-            let path = Trajectory::<7>::validation(&robot, seed);
-            path.check(&robot, 1e-3).expect("inside the limits");
+            let path = Trajectory::<N>::validation(robot, seed);
+            path.check(robot, 1e-3).expect("inside the limits");
             for k in 0..3000 {
                 let state = path.at(f64::from(k) * 1e-2);
                 let torque = model.inverse_dynamics(&state);
@@ -186,11 +166,24 @@ mod tests {
                     let (low, high) = joint.limits.position;
                     let inside = (state.q[j] - low).min(high - state.q[j]);
                     assert!(inside >= 0.04 * (high - low), "seed {seed}, joint {j}");
-                    let able = torque[j].abs() < joint.limits.torque;
+                    let able = torque[j].abs() < share * joint.limits.torque;
                     assert!(able, "seed {seed}, joint {j}");
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_weak_arm_moves_where_it_can_hold_itself() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        // Stretched out, gravity takes 56 N·m of the shoulder.
+        robot.joints[1].limits.torque = 45.0;
+        stays_inside::<6>(&robot, 0.8);
+    }
+
+    #[test]
+    fn the_validation_path_of_the_panda_stays_inside_its_ranges_and_torques() {
+        stays_inside::<7>(&Robot::load("panda").expect("built in"), 1.0);
     }
 
     #[test]
