@@ -55,7 +55,7 @@ fn standstill_gains(
     let gain = PerJoint::from_fn(model.joints(), |joint| robot.joints[joint].drive.gain);
     for path in logs {
         let mut reader = LogReader::open(path, robot)?;
-        if !reader.has_currents() {
+        if !reader.has_currents {
             return Err(refused(path, "no motor currents to find drive gains from"));
         }
         for_each_stand(&mut reader, &gain, still_rad_s, |stand| {

@@ -30,19 +30,22 @@ pub(super) struct LogReader {
     time: (usize, f64),
     q: Columns,
     qd: Option<Columns>,
-    qdd: Option<Columns>,
+    pub(super) qdd: Option<Columns>,
     tau: Columns,
-    from_current: bool,
-    mapped: bool,
+    /// Torque is drive gain × motor current.
+    pub(super) has_currents: bool,
+    /// The columns were found through a map.
+    pub(super) is_mapped: bool,
     unwrap: Unwrap,
     /// Coupling of an arm whose log has motions, and with `true` torques, of its joints.
     coupling: Option<(Coupling, bool)>,
-    notes: Vec<String>,
+    /// Remarks on the columns.
+    pub(super) notes: Vec<String>,
 }
 
 /// Columns of one quantity, and the value in SI of one unit of each.
 #[derive(Clone, Copy)]
-struct Columns {
+pub(super) struct Columns {
     places: PerJoint<usize>,
     scale: PerJoint<f64>,
 }
@@ -166,8 +169,8 @@ impl LogReader {
             qd,
             qdd,
             tau,
-            from_current: effort == EffortKind::Current,
-            mapped,
+            has_currents: effort == EffortKind::Current,
+            is_mapped: mapped,
             coupling: (robot.coupling.clone().filter(|_| map.of_joints))
                 .map(|coupling| (coupling, effort == EffortKind::Torque)),
             unwrap: Unwrap {
@@ -187,26 +190,6 @@ impl LogReader {
     /// The log has velocities.
     pub(super) fn has_velocity(&self) -> bool {
         self.qd.is_some()
-    }
-
-    /// The log has accelerations.
-    pub(super) fn has_acceleration(&self) -> bool {
-        self.qdd.is_some()
-    }
-
-    /// Torque is drive gain × motor current.
-    pub(super) fn has_currents(&self) -> bool {
-        self.from_current
-    }
-
-    /// The columns were found through a map.
-    pub(super) fn is_mapped(&self) -> bool {
-        self.mapped
-    }
-
-    /// Remarks on the columns.
-    pub(super) fn notes(&self) -> &[String] {
-        &self.notes
     }
 
     /// Remark on the joints whose angles were wrapped so far.

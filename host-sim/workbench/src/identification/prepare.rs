@@ -114,21 +114,21 @@ impl Preparation {
         path: &Path,
         notes: &mut Vec<String>,
     ) -> Self {
-        let (reader, period_s, name) = (log.reader(), log.period_s(), path.display());
-        notes.extend(log.notes());
-        if reader.has_currents() {
+        let (reader, period_s, name) = (&log.reader, log.period_s(), path.display());
+        notes.extend_from_slice(&log.notes);
+        if reader.has_currents {
             notes.push(format!("{name}: torque is drive gain × motor current"));
         }
         // Up to the first gap: derivatives across it would be wrong.
         let whole = |a: &LogRow, b: &LogRow| b.t_s - a.t_s <= GAP_PERIODS * period_s;
-        let preview = log.preview().chunk_by(whole).next().unwrap_or_default();
+        let preview = log.preview.chunk_by(whole).next().unwrap_or_default();
         let start_s = preview.first().map_or(0.0, |row| row.t_s);
         let at = |logged| Self::new(config, start_s, period_s, logged);
         let edge = at([false; 2]).edge().min(preview.len() / 3);
         let mut logged = [false; 2];
         let kinds = [
             (reader.has_velocity(), "velocities"),
-            (reader.has_acceleration(), "accelerations"),
+            (reader.qdd.is_some(), "accelerations"),
         ];
         for (order, (there, kind)) in kinds.into_iter().enumerate() {
             if !there {
@@ -139,7 +139,7 @@ impl Preparation {
             }
             // Mapped columns are measurements. The project's own may be set-points beside measured positions, and their
             // filter is unknown: derivatives of frequent positions share the known filter of the torque.
-            if !reader.is_mapped() && MOTION_ROWS * config.motion_hz * period_s <= 1.0 {
+            if !reader.is_mapped && MOTION_ROWS * config.motion_hz * period_s <= 1.0 {
                 notes.push(format!(
                     "{name}: {kind} derived from the positions, which come every {:.1} ms; the log's own have another filter",
                     1e3 * period_s
@@ -158,7 +158,7 @@ impl Preparation {
                 size += derived.iter().map(|value| value * value).sum::<f64>();
             }
             let apart = (error / f64::max(size, f64::MIN_POSITIVE)).sqrt();
-            logged[order] = reader.is_mapped() || apart <= TRUST[order];
+            logged[order] = reader.is_mapped || apart <= TRUST[order];
             if !logged[order] {
                 notes.push(format!(
                     "{name}: logged {kind} are {:.1} % of their RMS off the derivative of the positions, taken for set-points; derived instead",

@@ -98,11 +98,11 @@ fn cut_into_stretches(
             None => break,
         }
     }
-    notes.extend(log.reader().wraps());
-    if log.lost() > 0 {
+    notes.extend(log.reader.wraps());
+    if log.lost > 0 {
         notes.push(format!(
             "{name}: {} rows are missing according to its clock and were interpolated",
-            log.lost()
+            log.lost
         ));
     }
     Ok(notes)

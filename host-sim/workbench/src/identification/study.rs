@@ -9,7 +9,7 @@ use super::judge::description;
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
-use super::record::{MethodRecord, RIVALS, ValidationRecord, base_error};
+use super::record::{MethodRecord, RIVALS, Unseen, ValidationRecord, base_error};
 use super::stream::for_each_prepared;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, Trace};
@@ -20,13 +20,6 @@ use foretorque::dynamics::FrictionColumn;
 use nalgebra::DVector;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// Unseen logs that choose the method, and those that choose nothing.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Unseen {
-    Validation,
-    Test,
-}
 
 /// Records by name of the method.
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
@@ -111,7 +104,7 @@ impl Study<'_> {
         let candidates: Vec<&Candidate> = results.chain(&rivals).chain(last).collect();
         let add = |methods: &mut Methods, name: &str, log: String, record| {
             let method = methods.entry(name.to_owned()).or_default();
-            method.unseen(kind == Unseen::Test).insert(log, record);
+            method.unseen(kind).insert(log, record);
         };
         let mut of_linear = BTreeMap::new();
         let mut trace = Vec::new();
@@ -287,7 +280,7 @@ pub(super) fn truths(robot: &Robot, layout: &Layout) -> Vec<Option<f64>> {
 }
 
 /// Error of the base parameters by epoch of the accelerated layer; empty without a truth.
-pub(super) fn error_curve(
+fn error_curve(
     data: &TrainingData<'_>,
     layout: &Layout,
     reference: &Fit,

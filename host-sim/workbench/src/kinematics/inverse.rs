@@ -39,11 +39,6 @@ impl<const N: usize> Inverse<N> {
         &self.chain
     }
 
-    /// There is a closed form for this arm.
-    pub fn is_closed_form(&self) -> bool {
-        self.closed.is_some()
-    }
-
     /// All joint positions that put the tip at `target`, rad within ±π; of an arm without closed form those that a search
     /// from `near` and from seeded random starts finds.
     ///
@@ -269,7 +264,7 @@ mod tests {
     fn all_eight_are_right(robot: &Robot) {
         let tool = Placement::from_xyz_rpy(Vector3::new(0.02, 0.1, 0.15), Vector3::repeat(0.4));
         let inverse = Inverse::<6>::new(robot, &tool).expect("six joints");
-        assert!(inverse.is_closed_form());
+        assert!(inverse.closed.is_some());
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let mut eights = 0;
         for case in 0..2000 {
@@ -341,7 +336,7 @@ mod tests {
     fn an_arm_without_closed_form_is_solved_by_steps() {
         let robot = Robot::load("panda").expect("built in");
         let inverse = Inverse::<7>::new(&robot, &Placement::identity()).expect("seven joints");
-        assert!(!inverse.is_closed_form());
+        assert!(inverse.closed.is_none());
         let mut random = ChaCha8Rng::seed_from_u64(4);
         for case in 0..20 {
             let q = Joints::<7>::from_fn(|j, _| {

@@ -293,14 +293,10 @@ fn order(
             if !(moved(a) && moved(b)) {
                 continue;
             }
-            let swap = |joint: usize| {
-                if joint == a {
-                    b
-                } else if joint == b {
-                    a
-                } else {
-                    joint
-                }
+            let swap = |joint: usize| match joint {
+                _ if joint == a => b,
+                _ if joint == b => a,
+                _ => joint,
             };
             let moved: Vec<Motion> = states
                 .iter()
