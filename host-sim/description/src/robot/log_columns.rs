@@ -102,14 +102,8 @@ const UNITS: [(usize, &str, f64); 21] = [
 #[serde(try_from = "String", into = "String")]
 pub struct Units {
     text: String,
-    scale: [f64; 6],
-}
-
-impl Units {
     /// SI value of one unit of time, position, velocity, acceleration, torque and current.
-    pub fn scale(&self) -> [f64; 6] {
-        self.scale
-    }
+    pub scale: [f64; 6],
 }
 
 impl Default for Units {
@@ -263,7 +257,7 @@ mod tests {
     fn units_are_read_and_velocities_follow_positions() {
         let units: Units = "q=deg,t=ms,tau=mNm".parse().expect("known");
         let degree = std::f64::consts::PI / 180.0;
-        assert_eq!(units.scale(), [1e-3, degree, degree, degree, 1e-3, 1.0]);
+        assert_eq!(units.scale, [1e-3, degree, degree, degree, 1e-3, 1.0]);
         for wrong in ["q=grad", "speed=rad", "q", ""] {
             assert!(wrong.parse::<Units>().is_err(), "{wrong}");
         }

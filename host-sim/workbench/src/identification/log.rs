@@ -114,9 +114,9 @@ impl LogReader {
             (map, true)
         };
         let missing = |column: &str| TableProblem::MissingColumn(column.to_owned()).at(path, 1);
-        let own_units = map.all_units.clone().unwrap_or_default().scale();
+        let own_units = map.all_units.clone().unwrap_or_default().scale;
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
-        let map_units = map_units.cloned().unwrap_or_default().scale();
+        let map_units = map_units.cloned().unwrap_or_default().scale;
         let time = match (rows.find("t_s")?, &map.t_s) {
             (Some(place), _) => (place, own_units[0]),
             (None, Some(name)) => (rows.require(name)?, map_units[0]),

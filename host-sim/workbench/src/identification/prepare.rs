@@ -183,7 +183,7 @@ impl Preparation {
     pub(super) fn edge(&self) -> usize {
         let derived = self.logged != [true; 2];
         let periods = |filter: &Option<Butterworth>, periods: f64| {
-            let rows = |filter: &Butterworth| periods / (filter.cutoff_hz() * self.period_s);
+            let rows = |filter: &Butterworth| periods / (filter.cutoff_hz * self.period_s);
             filter
                 .as_ref()
                 .map_or(0, |filter| rows(filter).ceil() as usize)
@@ -201,14 +201,14 @@ impl Preparation {
             return stride;
         }
         self.torque.as_ref().map_or(1, |filter| {
-            let rate_hz = 2.0 * 0.898 * filter.cutoff_hz();
+            let rate_hz = 2.0 * 0.898 * filter.cutoff_hz;
             ((1.0 / (rate_hz * self.period_s)).round() as usize).max(1)
         })
     }
 
     /// Noise of a filtered torque over that of its rows, white noise assumed; see [`stride`](Self::stride).
     pub(super) fn noise_gain(&self) -> f64 {
-        let band = |filter: &Butterworth| (2.0 * 0.898 * filter.cutoff_hz() * self.period_s).sqrt();
+        let band = |filter: &Butterworth| (2.0 * 0.898 * filter.cutoff_hz * self.period_s).sqrt();
         self.torque
             .as_ref()
             .map_or(1.0, |filter| band(filter).min(1.0))

@@ -26,6 +26,16 @@ pub enum Descent {
     Accelerated,
 }
 
+impl Descent {
+    /// Epochs over which a loss that has hardly fallen ends the training.
+    fn patience(self) -> usize {
+        match self {
+            Self::Plain => 500,
+            Self::Accelerated => 50,
+        }
+    }
+}
+
 /// Settings of the training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhysicalConfig {
@@ -35,8 +45,6 @@ pub struct PhysicalConfig {
     pub starts: usize,
     /// Most epochs of one start.
     pub max_epochs: usize,
-    /// Training ends when the loss has hardly fallen over so many epochs.
-    pub patience: usize,
     /// Kind of gradient descent.
     pub descent: Descent,
 }
@@ -44,15 +52,10 @@ pub struct PhysicalConfig {
 impl PhysicalConfig {
     /// Three starts, and enough epochs for each kind of descent.
     pub fn new(descent: Descent, seed: u64) -> Self {
-        let (max_epochs, patience) = match descent {
-            Descent::Plain => (20_000, 500),
-            Descent::Accelerated => (2000, 50),
-        };
         Self {
             seed,
             starts: 3,
-            max_epochs,
-            patience,
+            max_epochs: 40 * descent.patience(),
             descent,
         }
     }
@@ -179,7 +182,9 @@ impl LinearLayer {
             if epoch % 50 == 0 {
                 watch(epoch, now);
             }
-            let past = epoch.checked_sub(config.patience).map(|past| losses[past]);
+            let past = epoch
+                .checked_sub(config.descent.patience())
+                .map(|past| losses[past]);
             if past.is_some_and(|past| past - now <= SETTLED * past) {
                 break;
             }
