@@ -21,6 +21,9 @@ use nalgebra::DVector;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// Name of the linear part of networks, while it competes with them.
+const LINEAR_PART: &str = "linear part";
+
 /// Records by name of the method.
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
 
@@ -99,14 +102,14 @@ impl Study<'_> {
         let linear = fallback.and_then(|place| self.results[place].linear.clone());
         let linear = linear.map(|fit| (Candidate::Linear(fit.theta.clone()), fit));
         let rivals = self.rivals();
-        let results = self.results.iter().map(|result| &result.candidate);
-        let last = linear.iter().map(|(candidate, _)| candidate);
-        let candidates: Vec<&Candidate> = results.chain(&rivals).chain(last).collect();
-        let add = |methods: &mut Methods, name: &str, log: String, record| {
-            let method = methods.entry(name.to_owned()).or_default();
-            method.unseen(kind).insert(log, record);
-        };
-        let mut of_linear = BTreeMap::new();
+        let results = self.results.iter();
+        let results = results.map(|result| (result.name.to_string(), &result.candidate));
+        let rivals = RIVALS.iter().zip(&rivals);
+        let rivals = rivals.map(|(name, rival)| ((*name).to_owned(), rival));
+        let last = linear.iter();
+        let last = last.map(|(candidate, _)| (LINEAR_PART.to_owned(), candidate));
+        let (names, candidates): (Vec<String>, Vec<&Candidate>) =
+            results.chain(rivals).chain(last).unzip();
         let mut trace = Vec::new();
         for path in logs {
             (self.progress)(&format!("validating {}", path.display()));
@@ -115,26 +118,17 @@ impl Study<'_> {
                 scores.add(layout, own, &prepared, &candidates);
             })?;
             let limit = scores.propagated(layout, &self.bound.covariance);
-            if linear.is_some() {
-                let record = scores.record(candidates.len() - 1, self.problem.seed);
-                of_linear.insert(key_of(path, logs), record);
-            }
-            for (place, result) in self.results.iter().enumerate() {
+            for (place, name) in names.iter().enumerate() {
                 let mut record = scores.record(place, self.problem.seed);
-                record.cramer_rao_nrmse_moving_ratio = Some(limit);
-                let error = self.error(result);
-                record.truth_nrmse_moving_ratio =
-                    error.map(|error| scores.propagated(layout, &(&error * error.transpose())));
-                add(
-                    methods,
-                    &result.name.to_string(),
-                    key_of(path, logs),
-                    record,
-                );
-            }
-            for (place, name) in (self.results.len()..).zip(RIVALS) {
-                let record = scores.record(place, self.problem.seed);
-                add(methods, name, key_of(path, logs), record);
+                if let Some(result) = self.results.get(place) {
+                    let error = self.error(result);
+                    let error = error.map(|error| &error * error.transpose());
+                    record.cramer_rao_nrmse_moving_ratio = Some(limit);
+                    record.truth_nrmse_moving_ratio =
+                        error.map(|error| scores.propagated(layout, &error));
+                }
+                let method = methods.entry(name.clone()).or_default();
+                method.unseen(kind).insert(key_of(path, logs), record);
             }
             if trace.is_empty() && kind == Unseen::Validation {
                 (self.progress)("growing shares of the logs");
@@ -147,6 +141,7 @@ impl Study<'_> {
                 trace = scores.trace;
             }
         }
+        let of_linear = methods.remove(LINEAR_PART).unwrap_or_default().validation;
         if let (Some(place), Some((candidate, fit))) = (fallback, linear) {
             let result = &mut self.results[place];
             let Some(method) = methods.get_mut(&result.name.to_string()) else {
