@@ -78,7 +78,7 @@ impl Link {
         let rot = frame.rot_parent_child;
         Self {
             mass: self.mass,
-            com: frame.origin + rot * self.com,
+            com: frame.point(&self.com),
             inertia_com: rot * self.inertia_com * rot.transpose(),
         }
     }

@@ -139,10 +139,9 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
         let (placement, end) = match (&joint.dh, &joint.frame) {
             (Some(dh), None) => {
                 check.finite(&at("dh"), &[dh.d_m, dh.a_m, dh.alpha_rad])?;
-                let lift = Vector3::new(0.0, 0.0, dh.d_m);
                 let placement = Placement {
-                    rot_parent_child: link_end.rot_parent_child,
-                    origin: link_end.origin + link_end.rot_parent_child * lift,
+                    origin: link_end.point(&Vector3::new(0.0, 0.0, dh.d_m)),
+                    ..link_end
                 };
                 (placement, dh_link_end(dh))
             }
@@ -309,9 +308,9 @@ fn capsules(
             check.finite(&at("capsules"), &capsule.from_m)?;
             check.finite(&at("capsules"), &capsule.to_m)?;
             check.positive(&at("capsules.radius_m"), capsule.radius_m)?;
-            let placed = |point: [f64; 3]| end.origin + end.rot_parent_child * Vector3::from(point);
+            let ends = [capsule.from_m, capsule.to_m];
             Ok(Capsule {
-                ends: [placed(capsule.from_m), placed(capsule.to_m)],
+                ends: ends.map(|point| end.point(&point.into())),
                 radius: capsule.radius_m,
             })
         })

@@ -48,11 +48,9 @@ impl Robot {
 /// * `here` joint frame in the end frame of the link before
 fn joint_file(joint: &Joint, here: &Placement) -> JointFile {
     let end = joint.dh_frame.unwrap_or_else(Placement::identity);
-    let link = joint.link.placed(&end.inverse());
     let in_end = end.inverse();
-    let capsule_end = |point: Vector3<f64>| -> [f64; 3] {
-        (in_end.origin + in_end.rot_parent_child * point).into()
-    };
+    let link = joint.link.placed(&in_end);
+    let capsule_end = |point: &Vector3<f64>| -> [f64; 3] { in_end.point(point).into() };
     JointFile {
         name: joint.name.clone(),
         link_name: joint.link_name.clone(),
@@ -70,8 +68,8 @@ fn joint_file(joint: &Joint, here: &Placement) -> JointFile {
             .capsules
             .iter()
             .map(|capsule| CapsuleFile {
-                from_m: capsule_end(capsule.ends[0]),
-                to_m: capsule_end(capsule.ends[1]),
+                from_m: capsule_end(&capsule.ends[0]),
+                to_m: capsule_end(&capsule.ends[1]),
                 radius_m: capsule.radius,
             })
             .collect(),

@@ -123,9 +123,7 @@ impl<const N: usize> Chain<N> {
         let (mut axis, mut origin) = (zero, zero);
         let mut frame = Placement::identity();
         for k in 0..N {
-            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), q[k]);
-            frame = frame.then(&self.placements[k]);
-            frame.rot_parent_child *= turn.matrix();
+            frame = frame.then(&self.placements[k]).turned(q[k]);
             axis[k] = frame.rot_parent_child.column(2).into_owned();
             origin[k] = frame.origin;
         }

@@ -125,8 +125,7 @@ fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<(f64, f64)> {
             };
             let body = Link {
                 mass: 1.0,
-                com: robot.flange.origin
-                    + robot.flange.rot_parent_child * Vector3::new(0.0, 0.0, height),
+                com: robot.flange.point(&Vector3::new(0.0, 0.0, height)),
                 inertia_com: Matrix3::identity() * 1e-4,
             };
             let body = Link::lumped(&[last.link, body]);
