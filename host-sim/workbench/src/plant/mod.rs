@@ -249,7 +249,7 @@ impl<const N: usize> Plant<N> {
             }
             _ => {
                 let (q, qd) = (&motion.q, &motion.qd);
-                let bias = self.model.bias(q, qd);
+                let (_, bias) = self.model.mass_matrix_and_bias(q, qd);
                 let (friction, state) = (&self.friction, &self.friction_state);
                 let (torque, _) = friction.torque_and_slope(q, qd, &bias, state, self.t_s);
                 needed += torque;

@@ -309,22 +309,18 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         judgement.find(true, text);
     }
     for (number, (_, seen)) in joints() {
-        let share = |count: f64| 100.0 * count / f64::max(seen.rows, 1.0);
-        if share(seen.spikes) > 0.5 {
-            let text = format!(
-                "joint {}: spikes of the torque in {:.1} % of the rows",
-                number + 1,
-                share(seen.spikes)
-            );
-            judgement.find(false, text);
-        }
-        if share(seen.at_top) > 1.0 {
-            let text = format!(
-                "joint {}: at its torque limit in {:.1} % of the rows",
-                number + 1,
-                share(seen.at_top)
-            );
-            judgement.find(false, text);
+        for (count, most, problem) in [
+            (seen.spikes, 0.5, "spikes of the torque"),
+            (seen.at_top, 1.0, "at its torque limit"),
+        ] {
+            let percent = 100.0 * count / f64::max(seen.rows, 1.0);
+            if percent > most {
+                let text = format!(
+                    "joint {}: {problem} in {percent:.1} % of the rows",
+                    number + 1
+                );
+                judgement.find(false, text);
+            }
         }
     }
 }
