@@ -124,18 +124,26 @@ pub(super) fn read(text: &str) -> Result<Document, String> {
     let joints = children(root, "joint")
         .map(joint)
         .collect::<Result<Vec<_>, _>>()?;
-    unique(links.iter().map(|link| link.name.as_str()))?;
-    unique(joints.iter().map(|joint| joint.name.as_str()))?;
-    Ok(Document {
+    let document = Document {
         name: root.attribute("name").unwrap_or_default().to_owned(),
         gravity: EARTH,
         notes: Vec::new(),
         links,
         joints,
-    })
+    };
+    document.unique()
 }
 
-pub(super) fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), String> {
+impl Document {
+    /// This document, if no name is used twice.
+    pub(super) fn unique(self) -> Result<Self, String> {
+        unique(self.links.iter().map(|link| link.name.as_str()))?;
+        unique(self.joints.iter().map(|joint| joint.name.as_str()))?;
+        Ok(self)
+    }
+}
+
+fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), String> {
     let mut seen = std::collections::HashSet::new();
     for name in names {
         if !seen.insert(name) {
@@ -183,23 +191,19 @@ fn joint(node: Node<'_, '_>) -> Result<JointElement, String> {
         // The default of the format.
         None => Vector3::x(),
     };
-    let limit = match child(node, "limit") {
-        Some(limit) => LimitElement {
-            lower: optional(limit, "lower")?,
-            upper: optional(limit, "upper")?,
-            velocity: optional(limit, "velocity")?,
-            effort: optional(limit, "effort")?,
-            acceleration: optional(limit, "acceleration")?,
-        },
-        None => LimitElement::default(),
+    let of = |element: &str, name: &str| match child(node, element) {
+        Some(element) => optional(element, name),
+        None => Ok(None),
     };
-    let friction = match child(node, "dynamics") {
-        Some(dynamics) => (
-            optional(dynamics, "damping")?.unwrap_or(0.0),
-            optional(dynamics, "friction")?.unwrap_or(0.0),
-        ),
-        None => (0.0, 0.0),
+    let limit = LimitElement {
+        lower: of("limit", "lower")?,
+        upper: of("limit", "upper")?,
+        velocity: of("limit", "velocity")?,
+        effort: of("limit", "effort")?,
+        acceleration: of("limit", "acceleration")?,
     };
+    let damping = of("dynamics", "damping")?.unwrap_or(0.0);
+    let friction = (damping, of("dynamics", "friction")?.unwrap_or(0.0));
     Ok(JointElement {
         name: required(node, "name")?.to_owned(),
         kind: required(node, "type")?.to_owned(),

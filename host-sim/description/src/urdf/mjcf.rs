@@ -8,7 +8,7 @@ mod attributes;
 
 use super::document::{
     Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, child,
-    children, no_robot, number, optional, parse_number, parsed, problem, required, unique, vector,
+    children, no_robot, number, optional, parse_number, parsed, problem, required, vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};
@@ -96,25 +96,14 @@ pub(super) fn read(file: &Path, text: String) -> Result<Document, String> {
     for world in children(root, "worldbody") {
         reader.bodies(world, "world", Placement::identity(), "main")?;
     }
-    for actuators in children(root, "actuator") {
-        for actuator in actuators.children().filter(Node::is_element) {
-            reader.actuator(actuator)?;
-        }
+    let inside = |name| children(root, name).flat_map(|n| n.children().filter(Node::is_element));
+    for actuator in inside("actuator") {
+        reader.actuator(actuator)?;
     }
-    for equalities in children(root, "equality") {
-        for equality in equalities.children().filter(Node::is_element) {
-            reader.equality(equality)?;
-        }
+    for equality in inside("equality") {
+        reader.equality(equality)?;
     }
-    unique(reader.document.links.iter().map(|link| link.name.as_str()))?;
-    unique(
-        reader
-            .document
-            .joints
-            .iter()
-            .map(|joint| joint.name.as_str()),
-    )?;
-    Ok(reader.document)
+    reader.document.unique()
 }
 
 struct Reader<'a, 'input> {
@@ -164,15 +153,10 @@ impl<'a, 'input> Reader<'a, 'input> {
         let unnamed = || format!("body_{}", self.document.links.len());
         let name = node.attribute("name").map_or_else(unnamed, str::to_owned);
         let inertial = child(node, "inertial").map(|inertial| self.inertia(inertial));
-        if node
-            .attribute("gravcomp")
-            .and_then(parse_number)
-            .unwrap_or(0.0)
-            != 0.0
-        {
-            self.document
-                .notes
-                .push(format!("body '{name}': gravcomp is left out"));
+        let gravcomp = node.attribute("gravcomp").and_then(parse_number);
+        if gravcomp.is_some_and(|share| share != 0.0) {
+            let note = format!("body '{name}': gravcomp is left out");
+            self.document.notes.push(note);
         }
         let (mut carrier, mut place) = (parent.to_owned(), pose);
         let is_joint = |n: &Node<'_, '_>| n.has_tag_name("joint") || n.has_tag_name("freejoint");
