@@ -314,8 +314,8 @@ impl<'a> Search<'a> {
             Criterion::DOptimal => certificate.ln_spread,
             Criterion::VOptimal | Criterion::Constrained => certificate.predicted_nrmse_percent,
         };
-        let found = || results.iter().flatten();
-        let certified = found().filter_map(|found| Some((found, found.certificate.as_deref()?)));
+        let certified = results.iter().flatten();
+        let certified = certified.filter_map(|found| Some((found, found.certificate.as_deref()?)));
         let (kept, missed): (Vec<_>, Vec<_>) =
             certified.partition(|(_, certificate)| certificate.holds);
         let best = kept.iter().min_by(|a, b| score(a.1).total_cmp(&score(b.1)));
@@ -324,16 +324,12 @@ impl<'a> Search<'a> {
         }
         let missed = missed.iter().filter_map(|(_, missed)| missed.violation());
         let nearest = missed.min_by(|a, b| a.0.total_cmp(&b.0));
-        let refused = || {
-            results
-                .iter()
-                .rev()
-                .find_map(|result| result.as_ref().err())
-        };
-        Err(nearest.map_or_else(
-            || refused().cloned().unwrap_or_else(unseen),
-            |(_, refusal)| refusal,
-        ))
+        let nearest = nearest.map(|(_, refusal)| refusal);
+        let last = results
+            .iter()
+            .rev()
+            .find_map(|result| result.as_ref().err());
+        Err(nearest.or_else(|| last.cloned()).unwrap_or_else(unseen))
     }
 }
 

@@ -148,8 +148,6 @@ pub fn identify(
         }
     }
     if let Some(fit) = study.results.iter().find_map(|result| result.fit.as_ref()) {
-        let whole = fit.theta.len() == layout.parameters.len();
-        let fit = if whole { fit } else { &study.bound };
         after_fit(&mut judgement, &robot, &layout, fit);
     }
     let first = validate.first().map(|path| key_of(path, validate));
