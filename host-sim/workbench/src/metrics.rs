@@ -119,10 +119,19 @@ impl<const N: usize> TorqueError<N> {
 }
 
 /// Tracking error, accumulated tick by tick.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackingError<const N: usize> {
     sum: Joints<N>,
     count: f64,
+}
+
+impl<const N: usize> Default for TrackingError<N> {
+    fn default() -> Self {
+        Self {
+            sum: Joints::zeros(),
+            count: 0.0,
+        }
+    }
 }
 
 impl<const N: usize> TrackingError<N> {

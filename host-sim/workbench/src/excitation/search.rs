@@ -13,7 +13,7 @@ use super::series::{Bases, VARIABLES};
 use super::series::{Extremes, JointSeries};
 use super::{refused, unseen};
 use crate::Refusal;
-use crate::dynamics::{Motion, PerJoint};
+use crate::dynamics::PerJoint;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use rand::{Rng, SeedableRng};

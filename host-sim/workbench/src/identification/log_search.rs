@@ -4,7 +4,7 @@ use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
 use crate::table::{Rows, TableError, TableProblem};
 
-/// The log has one column of that name.
+/// The log has a column of that name, or several.
 pub(super) fn has(rows: &Rows, name: &str) -> bool {
     !matches!(rows.find(name), Ok(None))
 }

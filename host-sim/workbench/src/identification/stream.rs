@@ -30,8 +30,8 @@ pub fn for_each_prepared(
     let mut log = WholeLog::open(path, robot)?;
     let preparation = Preparation::of_log(&log, config, path, notes);
     let (workers, cut) = (cores(), &preparation);
-    let (to_workers, stretches) = sync_channel::<Stretch>(workers);
     std::thread::scope(|scope| {
+        let (to_workers, stretches) = sync_channel::<Stretch>(workers);
         let reading = scope.spawn(move || cut_into_stretches(&mut log, cut, path, &to_workers));
         loop {
             let batch: Vec<Stretch> = stretches.iter().take(workers).collect();

@@ -44,7 +44,7 @@ fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
 
 #[test]
 fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
-    let read = |text: &str| imported(text);
+    let read = imported;
     let noted = |import: &Import| import.notes.iter().any(|note| note.contains("as radians"));
     let bare = MJCF.replace("angle=\"degree\" ", "");
     // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.

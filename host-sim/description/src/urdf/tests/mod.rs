@@ -4,7 +4,6 @@ mod written;
 
 use super::*;
 use crate::dynamics::{Joints, ReferenceModel, RigidBodies, State};
-use crate::robot::Placement;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::FRAC_PI_2;
 
@@ -19,7 +18,7 @@ const TO_HAND: Selection<'static> = Selection {
     link_mass: None,
 };
 
-/// The arm of a file, all of it.
+/// The arm of a file that needs no selection, and the notes.
 fn imported(text: &str) -> Import {
     parse("t", text, &Selection::default()).unwrap()
 }

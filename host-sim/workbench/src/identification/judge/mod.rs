@@ -18,7 +18,7 @@ use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
 use super::whole_log::WholeLog;
-use crate::dynamics::{Motion, PerJoint};
+use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use compare::compare;
 use delay::{Delay, delay};
