@@ -6,7 +6,6 @@ use super::{
     Workspace,
 };
 use crate::Refusal;
-use crate::files::toml_complaint;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -109,7 +108,7 @@ pub(super) struct InertiaFile {
 
 /// Reads, checks and converts the text of a description.
 pub(super) fn parse(file: &str, text: &str) -> Result<Robot, Refusal> {
-    let raw = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
+    let raw = toml::from_str(text).map_err(|error| Refusal::toml(file, text, &error))?;
     read(file, raw)
 }
 
@@ -358,10 +357,4 @@ impl Check<'_> {
             &format!("is {value}, must not be negative"),
         )
     }
-}
-
-/// The parser's complaint, with its line.
-pub(super) fn syntax(file: &str, text: &str, error: &toml::de::Error) -> Refusal {
-    let (line, reason) = toml_complaint(text, error);
-    Refusal::of(file, format!("line {line}: {reason}"))
 }

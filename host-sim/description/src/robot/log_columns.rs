@@ -1,6 +1,5 @@
 //! Names and units of the columns of foreign logs.
 
-use super::file::syntax;
 use crate::Refusal;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
@@ -212,7 +211,7 @@ impl LogColumns {
             let known = LOG_SOURCES.join(", ");
             Refusal::of(path, format!("not one of {known}, and as a file: {error}"))
         })?;
-        toml::from_str(&text).map_err(|error| syntax(path, &text, &error))
+        toml::from_str(&text).map_err(|error| Refusal::toml(path, &text, &error))
     }
 
     /// Columns of the known sources, by name. A source may write its columns in more than one way.

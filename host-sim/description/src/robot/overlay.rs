@@ -85,7 +85,7 @@ pub(super) fn read(
         return Ok(None);
     }
     let overlay: OverlayFile =
-        toml::from_str(text).map_err(|error| file::syntax(path, text, &error))?;
+        toml::from_str(text).map_err(|error| Refusal::toml(path, text, &error))?;
     let field = |field: &str, problem: String| Refusal::of(path, format!("{field}: {problem}"));
     if overlay
         .link_mass_kg

@@ -2,11 +2,10 @@
 
 use super::certificate::{Certificate, LimitCheck};
 use super::information::{Criterion, NOISE, SAMPLES, condition_number};
-use super::objective::Objective;
+use super::objective::{Objective, SearchConfig};
 use super::path::Excitation;
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
-use super::search::SearchConfig;
 use super::series::Extremes;
 use super::unseen;
 use crate::Refusal;

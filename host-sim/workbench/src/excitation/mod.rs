@@ -24,8 +24,9 @@ mod series;
 
 pub use certificate::{Certificate, LimitCheck};
 pub use information::Criterion;
+pub use objective::SearchConfig;
 pub use path::{Excitation, QuickConfig};
-pub use search::{SearchConfig, optimise};
+pub use search::optimise;
 pub use series::{JointSeries, ORDER};
 
 use crate::Refusal;

@@ -6,7 +6,7 @@ use super::certificate::Certificate;
 use super::certify::certify;
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
-use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
+use super::objective::{INSTANTS, Objective, PenaltyWeights, SearchConfig, basis, descend};
 use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Bases, VARIABLES};
@@ -19,7 +19,7 @@ use crate::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use speeds::{TORQUE_SHARES, torques};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::num::NonZeroUsize;
 
 /// Share of the limits that a search uses: motion between its instants takes 0.2 %.
@@ -43,44 +43,6 @@ const REPAIRS: usize = 4;
 const POOL: usize = 8;
 /// Least share of its tightest limit that a random series uses.
 const LEAST_SHARE: f64 = 0.4;
-/// Configuration of a search.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SearchConfig {
-    /// Period of the fundamental, s.
-    pub period_s: f64,
-    /// Objective.
-    pub criterion: Criterion,
-    /// Limit of the condition number under [`Criterion::Constrained`].
-    pub condition_limit: f64,
-    /// A result beyond that limit is none. Otherwise the best one counts where no start keeps it.
-    pub condition_required: bool,
-    /// Seed of the starts.
-    pub seed: u64,
-    /// Starts.
-    pub starts: usize,
-    /// Most iterations of a round for the finalists, one start in four; the rounds before are shorter.
-    pub iterations: usize,
-    /// Range of every joint around zero, rad, on top of the robot's own.
-    pub range_rad: f64,
-    /// Threads; the result does not depend on them. `None`: all cores.
-    pub threads: Option<NonZeroUsize>,
-}
-
-impl Default for SearchConfig {
-    fn default() -> Self {
-        Self {
-            period_s: 10.0,
-            criterion: Criterion::Constrained,
-            condition_limit: 60.0,
-            condition_required: true,
-            seed: 1,
-            starts: 24,
-            iterations: 240,
-            range_rad: PI,
-            threads: None,
-        }
-    }
-}
 
 /// The best excitation of all starts, with its certificate; all its limits hold.
 ///
