@@ -158,10 +158,8 @@ pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
         .file_stem()
         .and_then(|stem| stem.to_str())
         .unwrap_or_default();
-    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
-    let starts_with_letter = module.starts_with(|c: char| c.is_ascii_lowercase());
     let is_rust = file.extension().is_some_and(|extension| extension == "rs");
-    if !(module.chars().all(plain) && starts_with_letter && is_rust) {
+    if !(Robot::is_name(module) && is_rust) {
         let error = std::io::Error::new(
             std::io::ErrorKind::InvalidInput,
             "must be called like a Rust module: lower-case letters, digits and underscores, then .rs",

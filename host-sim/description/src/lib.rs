@@ -6,3 +6,21 @@ pub mod files;
 pub mod generate;
 pub mod robot;
 pub mod urdf;
+
+/// Reason for which an input is refused: one line that names the place of the defect.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Refusal(pub String);
+
+impl Refusal {
+    /// A `problem` in a file, a field or an element.
+    pub fn of(place: impl std::fmt::Display, problem: impl std::fmt::Display) -> Self {
+        Self(format!("{place}: {problem}"))
+    }
+
+    /// The first complaint of the TOML parser about the text of a `file`, with its line.
+    pub fn toml(file: &str, text: &str, error: &toml::de::Error) -> Self {
+        let (line, reason) = files::toml_complaint(text, error);
+        Self::of(file, format!("line {line}: {reason}"))
+    }
+}

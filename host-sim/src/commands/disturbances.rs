@@ -205,7 +205,6 @@ impl DisturbanceArguments {
             not_a_number: self.not_a_number,
             lost: self.lost,
             late: self.late,
-            ..ReportFaults::default()
         }
     }
 }

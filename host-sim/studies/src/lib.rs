@@ -17,13 +17,13 @@ use foretorque::arm::Arm;
 use foretorque::dynamics::FrictionColumn;
 use foretorque::learning::{ConfigError, ParameterSet};
 use foretorque_link::bank::{BankError, NETWORK_SEED, ParameterBank};
+use foretorque_workbench::Refusal;
 use foretorque_workbench::board::BoardError;
-use foretorque_workbench::excitation::ExcitationError;
 use foretorque_workbench::identification::IdentifyError;
 use foretorque_workbench::report::ReportError;
 use foretorque_workbench::report::page::Page;
 use foretorque_workbench::report::plot::PlotError;
-use foretorque_workbench::robot::{Robot, RobotError};
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::TableError;
 use std::io;
 
@@ -56,9 +56,6 @@ pub enum StudyError {
     /// A configuration that the firmware refuses.
     #[error("{0}")]
     Config(#[from] ConfigError),
-    /// An excitation that cannot be found or played.
-    #[error(transparent)]
-    Excitation(#[from] ExcitationError),
     /// A file that cannot be read or written.
     #[error(transparent)]
     File(#[from] io::Error),
@@ -71,9 +68,9 @@ pub enum StudyError {
     /// A report that cannot be written.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// A robot that cannot be loaded.
+    /// A robot that cannot be loaded, or an excitation that cannot be found or played.
     #[error(transparent)]
-    Robot(#[from] RobotError),
+    Refused(#[from] Refusal),
     /// A log that cannot be read.
     #[error(transparent)]
     Table(#[from] TableError),

@@ -154,11 +154,7 @@ pub fn run(
 
 /// The column set of a text of this program.
 pub(super) fn columns(text: &str) -> Result<ColumnSet, StudyError> {
-    text.parse().map_err(
-        |unknown: foretorque_workbench::identification::UnknownName| {
-            StudyError::Unusable(unknown.to_string())
-        },
-    )
+    Ok(text.parse::<ColumnSet>()?)
 }
 
 /// Check that the directory of the logs is there.

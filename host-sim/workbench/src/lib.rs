@@ -17,4 +17,4 @@ pub mod telemetry;
 pub mod training;
 pub mod trajectory;
 
-pub use foretorque_description::{arms, dynamics, files, generate, joints, robot, urdf};
+pub use foretorque_description::{Refusal, arms, dynamics, files, generate, joints, robot, urdf};

@@ -1,6 +1,7 @@
 //! Figures of merit: torque error and tracking error.
 
 use crate::dynamics::Joints;
+use nalgebra::DMatrix;
 
 /// Speed below which a joint counts as still, rad/s: stiction is no function of the velocity.
 pub const MOVING_RAD_S: f64 = 0.05;
@@ -20,30 +21,62 @@ pub(crate) fn root_mean_square(values: &[Option<f64>]) -> f64 {
     root_mean(values.iter().flatten().map(|value| value * value))
 }
 
+/// Condition number of a matrix X with XᵀX = `gram`.
+pub(crate) fn condition_of(gram: &DMatrix<f64>) -> f64 {
+    let values = gram.symmetric_eigenvalues();
+    (values.max() / values.min().max(f64::MIN_POSITIVE)).sqrt()
+}
+
 /// Torque error against the truth, accumulated sample by sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TorqueError<const N: usize> {
-    all: [Sums; N],
-    moving: [Sums; N],
+    all: [ErrorSums; N],
+    moving: [ErrorSums; N],
 }
 
+/// Sums over the samples of one joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Sums {
+pub(crate) struct ErrorSums {
+    /// Squared errors and squared torques, N²·m².
     error: f64,
-    truth: f64,
-    count: f64,
+    pub(crate) truth: f64,
+    pub(crate) count: f64,
 }
 
-impl Sums {
-    fn add(&mut self, truth: f64, predicted: f64) {
+impl ErrorSums {
+    pub(crate) fn add(&mut self, truth: f64, predicted: f64) {
         self.error += (predicted - truth).powi(2);
         self.truth += truth * truth;
         self.count += 1.0;
     }
+
+    /// These sums and those of other samples.
+    pub(crate) fn with(&self, other: &Self) -> Self {
+        Self {
+            error: self.error + other.error,
+            truth: self.truth + other.truth,
+            count: self.count + other.count,
+        }
+    }
+
+    /// RMS error, N·m; none without samples.
+    pub(crate) fn rmse(&self) -> Option<f64> {
+        (self.count > 0.0).then(|| (self.error / self.count).sqrt())
+    }
+
+    /// RMS torque, N·m; none without samples.
+    pub(crate) fn torque_rms(&self) -> Option<f64> {
+        (self.count > 0.0).then(|| (self.truth / self.count).sqrt())
+    }
+
+    /// RMS error over RMS torque; none without torque.
+    pub(crate) fn nrmse(&self) -> Option<f64> {
+        (self.truth > 0.0).then(|| (self.error / self.truth).sqrt())
+    }
 }
 
 /// sqrt(mean_j (RMS err_j / RMS tau_j)²); joints without samples or torque are left out.
-fn nrmse(sums: &[Sums]) -> f64 {
+pub(crate) fn nrmse(sums: &[ErrorSums]) -> f64 {
     let joints = sums.iter().filter(|sums| sums.truth > 0.0);
     root_mean(joints.map(|sums| sums.error / sums.truth))
 }
@@ -51,8 +84,8 @@ fn nrmse(sums: &[Sums]) -> f64 {
 impl<const N: usize> Default for TorqueError<N> {
     fn default() -> Self {
         Self {
-            all: [Sums::default(); N],
-            moving: [Sums::default(); N],
+            all: [ErrorSums::default(); N],
+            moving: [ErrorSums::default(); N],
         }
     }
 }
@@ -81,9 +114,7 @@ impl<const N: usize> TorqueError<N> {
     /// RMS error of every joint over all samples, N·m.
     pub fn rmse_nm(&self) -> Vec<f64> {
         let joints = self.all.iter();
-        joints
-            .map(|sums| (sums.error / sums.count.max(1.0)).sqrt())
-            .collect()
+        joints.map(|sums| sums.rmse().unwrap_or(0.0)).collect()
     }
 }
 

@@ -21,6 +21,11 @@ use std::time::Duration;
 
 const BOOT: Duration = Duration::from_millis(10);
 
+fn client<A: Arm<N, P> + 'static, const N: usize, const P: usize>() -> Client<N> {
+    let board = Box::new(Native::<A, N, P>::new().unwrap());
+    Client::connect::<A, P>(board, BOOT).unwrap()
+}
+
 fn motion<const N: usize>(t: f32, middle: &[(f32, f32); N]) -> JointMotion<N> {
     let phase = |joint: usize| t + joint as f32;
     JointMotion {
@@ -70,10 +75,8 @@ fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
         let read = prior_factor::<Described<N, P>, N, P>(index);
         assert_eq!(prior_factor::<A, N, P>(index), read);
     }
-    let board = Box::new(Native::<A, N, P>::new().unwrap());
-    let compiled = Client::<N>::connect::<A, P>(board, BOOT).unwrap();
-    let board = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
-    let read = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
+    let compiled = client::<A, N, P>();
+    let read = client::<Described<N, P>, N, P>();
     assert_eq!(compiled.hello(), read.hello());
     the_same_learning::<A, N, P>([compiled, read], 4000);
 }
@@ -148,8 +151,7 @@ fn arms_of_one_to_eight_joints_run_and_learn() {
         arms!(robot, N, P => {
             let arm = Described::<N, P>::read(&robot).expect("room for all base parameters");
             assert!(arm.index.count + 5 > P, "{} of {P}", arm.index.count);
-            let board = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
-            let mut client = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
+            let mut client = client::<Described<N, P>, N, P>();
             client.upload_bank(&ParameterBank::nominal::<Described<N, P>, N, P>()).unwrap();
             client.arm(&sample::<Described<N, P>, N, P>(0)).unwrap();
             client.learning(true).unwrap();
@@ -185,8 +187,7 @@ fn friction_of_a_bank_stays_with_its_joint() {
                 bank.columns.iter().map(|column| (column.id, column.value)).collect()
             };
             assert_eq!(values(&again), values(&bank), "{name}");
-            let board = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
-            let mut client = Client::<N>::connect::<Described<N, P>, P>(board, BOOT).unwrap();
+            let mut client = client::<Described<N, P>, N, P>();
             client.upload_bank(&bank).unwrap();
             assert_eq!(client.read_bank().unwrap().columns, bank.columns, "{name}");
         }, else unreachable!());
@@ -195,8 +196,7 @@ fn friction_of_a_bank_stays_with_its_joint() {
 
 #[test]
 fn a_bank_of_another_arm_is_named() {
-    let board = Box::new(Native::<Panda, 7, 48>::new().unwrap());
-    let mut client = Client::<7>::connect::<Panda, 48>(board, BOOT).unwrap();
+    let mut client = client::<Panda, 7, 48>();
     let bank = ParameterBank::nominal::<Ur5, 6, 40>();
     let error = client.upload_bank(&bank).unwrap_err();
     assert!(matches!(error, BoardError::WrongBank { .. }));

@@ -36,8 +36,6 @@ pub struct BaseMap {
     pub columns: Vec<usize>,
     /// Non-zero entries of B in beta = B·x, sorted by base index.
     pub terms: Vec<BaseMapTerm>,
-    /// Residual of W = W_b B over all random states, relative to the largest entry of W.
-    pub residual: f64,
 }
 
 impl BaseMap {
@@ -52,8 +50,6 @@ impl BaseMap {
         let triangle = DMatrix::from_fn(rank, rank, |b, k| coefficients[(b, columns[k])]);
         let weights = triangle.solve_upper_triangular(&coefficients.rows(0, rank).into_owned())?;
         let weights = weights.map(|weight| (weight / WEIGHT_GRID).round() * WEIGHT_GRID);
-        let w_base = w.select_columns(&columns);
-        let residual = (&w_base * &weights - &w).amax() / w.amax();
         let terms = (0..rank)
             .flat_map(|base| (0..w.ncols()).map(move |standard| (base, standard)))
             .filter(|&at| weights[at] != 0.0)
@@ -63,11 +59,7 @@ impl BaseMap {
                 weight: weights[(base, standard)],
             })
             .collect();
-        Some(Self {
-            columns,
-            terms,
-            residual,
-        })
+        Some(Self { columns, terms })
     }
 
     /// Number of base parameters.

@@ -2,7 +2,7 @@
 
 use super::per_joint::{Motion, PerJoint};
 use crate::robot::{Coupling, LINK_PARAMETERS, Link, MAX_JOINTS, Placement, Robot};
-use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
+use nalgebra::{DMatrix, DMatrixViewMut, Matrix3, Rotation3, Vector3};
 
 /// One link: where its joint sits and how its mass is distributed.
 #[derive(Clone, Copy, Debug)]
@@ -102,18 +102,15 @@ impl RigidBodies {
                 }
             }
         }
-        for j in 0..count {
-            for i in 0..j {
-                mass[j * count + i] = mass[i * count + j];
-            }
-        }
+        let mut matrix = DMatrixViewMut::from_slice(mass, count, count);
+        matrix.fill_upper_triangle_with_lower_triangle();
         // C⁻ᵀ M C⁻¹: M is symmetric, so both products are those of its rows.
         if let Some(coupling) = &self.coupling {
             for _ in 0..2 {
                 for row in mass.chunks_exact_mut(count) {
                     coupling.to_drive_torques(row);
                 }
-                transpose(mass, count);
+                DMatrixViewMut::from_slice(mass, count, count).transpose_mut();
             }
         }
         for j in 0..count {
@@ -251,15 +248,6 @@ impl RigidBodies {
             coupling.to_drive_torques(&mut tau);
         }
         tau
-    }
-}
-
-/// Transposes a square matrix of `count` rows.
-fn transpose(matrix: &mut [f64], count: usize) {
-    for row in 0..count {
-        for column in 0..row {
-            matrix.swap(row * count + column, column * count + row);
-        }
     }
 }
 

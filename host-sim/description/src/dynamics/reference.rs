@@ -78,11 +78,6 @@ impl<const N: usize> ReferenceModel<N> {
         self.0.gravity_torques(q.as_slice()).into()
     }
 
-    /// Bias torques h = V(q, qd) + G(q), N·m.
-    pub fn bias(&self, q: &Joints<N>, qd: &Joints<N>) -> Joints<N> {
-        self.mass_matrix_and_bias(q, qd).1
-    }
-
     /// Mass matrix M(q) with the rotor inertias on its diagonal, kg·m².
     pub fn mass_matrix(&self, q: &Joints<N>) -> SMatrix<f64, N, N> {
         self.mass_matrix_and_bias(q, &Joints::zeros()).0
@@ -108,13 +103,8 @@ impl<const N: usize> ReferenceModel<N> {
     /// Joint torque regressor, see [`RigidBodies::regressor_into`].
     pub fn regressor(&self, state: &State<N>) -> DMatrix<f64> {
         let mut rows = DMatrix::zeros(N, (LINK_PARAMETERS + 1) * N);
-        self.regressor_into(state, &mut rows, 0);
+        self.0.regressor_into(&(*state).into(), &mut rows, 0);
         rows
-    }
-
-    /// See [`RigidBodies::regressor_into`].
-    pub fn regressor_into(&self, state: &State<N>, target: &mut DMatrix<f64>, first_row: usize) {
-        self.0.regressor_into(&(*state).into(), target, first_row);
     }
 }
 

@@ -28,21 +28,23 @@ impl Link {
     /// Second moments of mass below a thousandth of the largest become that: the nearest in the Frobenius norm that keeps
     /// a margin.
     pub fn repaired(&self) -> (Self, f64) {
+        let repaired = self.thickened(|moments| (1e-3 * moments.max()).max(1e-9));
+        let change = (repaired.inertia_com - self.inertia_com).amax();
+        (repaired, change)
+    }
+
+    /// The link with its principal second moments of mass raised to `least` of them, kg·m².
+    pub fn thickened(&self, least: impl Fn(&Vector3<f64>) -> f64) -> Self {
         let mut moments = self.second_moments().symmetric_eigen();
-        let least = (1e-3 * moments.eigenvalues.max()).max(1e-9);
+        let least = least(&moments.eigenvalues);
         moments
             .eigenvalues
             .apply(|moment| *moment = moment.max(least));
         let moments = moments.recompose();
-        let inertia_com = moments.trace() * Matrix3::identity() - moments;
-        let change = (inertia_com - self.inertia_com).amax();
-        (
-            Self {
-                inertia_com,
-                ..*self
-            },
-            change,
-        )
+        Self {
+            inertia_com: moments.trace() * Matrix3::identity() - moments,
+            ..*self
+        }
     }
 
     /// A rod of `mass`, kg, and 5 cm radius from the origin to `end`, m.
@@ -76,7 +78,7 @@ impl Link {
         let rot = frame.rot_parent_child;
         Self {
             mass: self.mass,
-            com: frame.origin + rot * self.com,
+            com: frame.point(&self.com),
             inertia_com: rot * self.inertia_com * rot.transpose(),
         }
     }

@@ -3,9 +3,9 @@
 use super::body::{Coupling, CouplingFile};
 use super::{
     Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
-    RobotError, Workspace,
+    Workspace,
 };
-use crate::files::toml_complaint;
+use crate::Refusal;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -107,13 +107,13 @@ pub(super) struct InertiaFile {
 }
 
 /// Reads, checks and converts the text of a description.
-pub(super) fn parse(file: &str, text: &str) -> Result<Robot, RobotError> {
-    let raw = toml::from_str(text).map_err(|error| syntax(file, text, &error))?;
+pub(super) fn parse(file: &str, text: &str) -> Result<Robot, Refusal> {
+    let raw = toml::from_str(text).map_err(|error| Refusal::toml(file, text, &error))?;
     read(file, raw)
 }
 
 /// Checks and converts a description.
-pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, RobotError> {
+pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     let check = Check { file };
     check.that(
         Robot::is_name(&raw.name),
@@ -138,10 +138,9 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, RobotError> {
         let (placement, end) = match (&joint.dh, &joint.frame) {
             (Some(dh), None) => {
                 check.finite(&at("dh"), &[dh.d_m, dh.a_m, dh.alpha_rad])?;
-                let lift = Vector3::new(0.0, 0.0, dh.d_m);
                 let placement = Placement {
-                    rot_parent_child: link_end.rot_parent_child,
-                    origin: link_end.origin + link_end.rot_parent_child * lift,
+                    origin: link_end.point(&Vector3::new(0.0, 0.0, dh.d_m)),
+                    ..link_end
                 };
                 (placement, dh_link_end(dh))
             }
@@ -220,7 +219,7 @@ fn placement_of_frame(
     frame: &FrameFile,
     check: &Check<'_>,
     field: &str,
-) -> Result<Placement, RobotError> {
+) -> Result<Placement, Refusal> {
     check.finite(field, &frame.xyz_m)?;
     check.finite(field, &frame.rpy_rad)?;
     Ok(Placement::from_xyz_rpy(
@@ -234,7 +233,7 @@ fn link_in_craig_frame(
     end: &Placement,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<Link, RobotError> {
+) -> Result<Link, Refusal> {
     let i = &link.inertia_kg_m2;
     check.positive(&at("link.mass_kg"), link.mass_kg)?;
     check.finite(&at("link.com_m"), &link.com_m)?;
@@ -259,7 +258,7 @@ fn check_numbers(
     joint: &JointFile,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<(), RobotError> {
+) -> Result<(), Refusal> {
     let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
     for (field, value, positive) in [
         ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
@@ -301,16 +300,16 @@ fn capsules(
     end: &Placement,
     check: &Check<'_>,
     at: &dyn Fn(&str) -> String,
-) -> Result<Vec<Capsule>, RobotError> {
+) -> Result<Vec<Capsule>, Refusal> {
     capsules
         .iter()
         .map(|capsule| {
             check.finite(&at("capsules"), &capsule.from_m)?;
             check.finite(&at("capsules"), &capsule.to_m)?;
             check.positive(&at("capsules.radius_m"), capsule.radius_m)?;
-            let placed = |point: [f64; 3]| end.origin + end.rot_parent_child * Vector3::from(point);
+            let ends = [capsule.from_m, capsule.to_m];
             Ok(Capsule {
-                ends: [placed(capsule.from_m), placed(capsule.to_m)],
+                ends: ends.map(|point| end.point(&point.into())),
                 radius: capsule.radius_m,
             })
         })
@@ -323,15 +322,11 @@ struct Check<'a> {
 }
 
 impl Check<'_> {
-    fn error(&self, field: &str, problem: &str) -> RobotError {
-        RobotError::Field {
-            file: self.file.to_owned(),
-            field: field.to_owned(),
-            problem: problem.to_owned(),
-        }
+    fn error(&self, field: &str, problem: &str) -> Refusal {
+        Refusal::of(self.file, format!("{field}: {problem}"))
     }
 
-    fn that(&self, condition: bool, field: &str, problem: &str) -> Result<(), RobotError> {
+    fn that(&self, condition: bool, field: &str, problem: &str) -> Result<(), Refusal> {
         if condition {
             Ok(())
         } else {
@@ -339,7 +334,7 @@ impl Check<'_> {
         }
     }
 
-    fn finite(&self, field: &str, values: &[f64]) -> Result<(), RobotError> {
+    fn finite(&self, field: &str, values: &[f64]) -> Result<(), Refusal> {
         self.that(
             values.iter().all(|value| value.is_finite()),
             field,
@@ -347,7 +342,7 @@ impl Check<'_> {
         )
     }
 
-    fn positive(&self, field: &str, value: f64) -> Result<(), RobotError> {
+    fn positive(&self, field: &str, value: f64) -> Result<(), Refusal> {
         self.that(
             value.is_finite() && value > 0.0,
             field,
@@ -355,20 +350,11 @@ impl Check<'_> {
         )
     }
 
-    fn not_negative(&self, field: &str, value: f64) -> Result<(), RobotError> {
+    fn not_negative(&self, field: &str, value: f64) -> Result<(), Refusal> {
         self.that(
             value.is_finite() && value >= 0.0,
             field,
             &format!("is {value}, must not be negative"),
         )
-    }
-}
-
-/// The parser's complaint, with its line.
-pub(super) fn syntax(file: &str, text: &str, error: &toml::de::Error) -> RobotError {
-    let (line, reason) = toml_complaint(text, error);
-    RobotError::Syntax {
-        file: file.to_owned(),
-        reason: format!("line {line}: {reason}"),
     }
 }

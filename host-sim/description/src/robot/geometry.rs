@@ -47,6 +47,20 @@ impl Placement {
         }
     }
 
+    /// This placement, turned about its z axis by `angle`, rad.
+    pub fn turned(&self, angle: f64) -> Self {
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
+        Self {
+            rot_parent_child: self.rot_parent_child * turn.matrix(),
+            origin: self.origin,
+        }
+    }
+
+    /// A `point` of the child in the parent, m.
+    pub fn point(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        self.origin + self.rot_parent_child * point
+    }
+
     /// The parent placed in the child.
     pub fn inverse(&self) -> Self {
         let rot_child_parent = self.rot_parent_child.transpose();

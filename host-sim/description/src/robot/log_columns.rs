@@ -1,9 +1,7 @@
 //! Names and units of the columns of foreign logs.
 
-use super::RobotError;
-use crate::files::toml_complaint;
+use crate::Refusal;
 use serde::{Deserialize, Serialize};
-use std::fmt;
 use std::str::FromStr;
 
 /// Column names of one quantity of all joints.
@@ -103,14 +101,8 @@ const UNITS: [(usize, &str, f64); 21] = [
 #[serde(try_from = "String", into = "String")]
 pub struct Units {
     text: String,
-    scale: [f64; 6],
-}
-
-impl Units {
     /// SI value of one unit of time, position, velocity, acceleration, torque and current.
-    pub fn scale(&self) -> [f64; 6] {
-        self.scale
-    }
+    pub scale: [f64; 6],
 }
 
 impl Default for Units {
@@ -170,12 +162,6 @@ impl From<Units> for String {
     }
 }
 
-impl fmt::Display for Units {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
 /// Columns of a foreign log.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
@@ -219,70 +205,29 @@ pub const LOG_SOURCES: [&str; 4] = ["ros", "rtde", "franka", "lerobot"];
 impl LogColumns {
     /// Columns from a TOML file.
     ///
-    /// Errors: [`RobotError`], naming the file and the line.
-    pub fn load(path: &str) -> Result<Self, RobotError> {
-        let syntax = |reason| RobotError::Syntax {
-            file: path.to_owned(),
-            reason,
-        };
+    /// Errors: a line that names the file and its line.
+    pub fn load(path: &str) -> Result<Self, Refusal> {
         let text = std::fs::read_to_string(path).map_err(|error| {
             let known = LOG_SOURCES.join(", ");
-            syntax(format!("not one of {known}, and as a file: {error}"))
+            Refusal::of(path, format!("not one of {known}, and as a file: {error}"))
         })?;
-        toml::from_str(&text).map_err(|error| {
-            let (line, reason) = toml_complaint(&text, &error);
-            syntax(format!("line {line}: {reason}"))
-        })
+        toml::from_str(&text).map_err(|error| Refusal::toml(path, &text, &error))
     }
 
     /// Columns of the known sources, by name. A source may write its columns in more than one way.
-    pub fn known() -> Vec<(&'static str, Self)> {
-        let source = |name, t: &str, [q, qd, tau, i]: [&str; 4], units: &str| {
-            let names = |pattern: &str| {
-                (!pattern.is_empty()).then(|| ColumnNames::Pattern(pattern.to_owned()))
-            };
-            let columns = Self {
-                t_s: Some(t.to_owned()),
-                q_rad: names(q),
-                qd_rad_s: names(qd),
-                tau_nm: names(tau),
-                i_a: names(i),
-                units: units.parse().ok(),
-                ..Self::default()
-            };
-            (name, columns)
-        };
-        let ros = ["{name}/position", "{name}/velocity", "{name}/effort", ""];
-        let in_plot = [
-            "/joint_states/{name}/position",
-            "/joint_states/{name}/velocity",
-            "/joint_states/{name}/effort",
-            "",
-        ];
-        let rtde = [
-            "actual_q_{0}",
-            "actual_qd_{0}",
-            "actual_current_as_torque_{0}",
-            "actual_current_{0}",
-        ];
-        let franka = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]", ""];
-        let franka_plain = ["q[{0}]", "dq[{0}]", "tau_J[{0}]", ""];
-        let lerobot = [
-            "observation.state.{name}.pos",
-            "observation.state.{name}.vel",
-            "observation.state.{name}.torque",
-            "",
-        ];
-        let lerobot_plain = ["{name}.pos", "{name}.vel", "{name}.torque", ""];
-        vec![
-            source("ros", "t_s", ros, "t=s"),
-            source("ros", "__time", in_plot, "t=s"),
-            source("rtde", "timestamp", rtde, "t=s"),
-            source("franka", "time", franka, "t=ms"),
-            source("franka", "time", franka_plain, "t=ms"),
-            source("lerobot", "timestamp", lerobot, "q=deg"),
-            source("lerobot", "timestamp", lerobot_plain, "q=deg"),
-        ]
+    pub fn known() -> Vec<(String, Self)> {
+        #[derive(Deserialize)]
+        struct Known {
+            source: Vec<Source>,
+        }
+        #[derive(Deserialize)]
+        struct Source {
+            name: String,
+            columns: LogColumns,
+        }
+        let known: Known = toml::from_str(include_str!("log_sources.toml")).expect("is a table");
+        let pair = |source: Source| (source.name, source.columns);
+        known.source.into_iter().map(pair).collect()
     }
 }
 
@@ -311,12 +256,12 @@ mod tests {
     fn units_are_read_and_velocities_follow_positions() {
         let units: Units = "q=deg,t=ms,tau=mNm".parse().expect("known");
         let degree = std::f64::consts::PI / 180.0;
-        assert_eq!(units.scale(), [1e-3, degree, degree, degree, 1e-3, 1.0]);
+        assert_eq!(units.scale, [1e-3, degree, degree, degree, 1e-3, 1.0]);
         for wrong in ["q=grad", "speed=rad", "q", ""] {
             assert!(wrong.parse::<Units>().is_err(), "{wrong}");
         }
         for (name, columns) in LogColumns::known() {
-            assert!(LOG_SOURCES.contains(&name) && columns.units.is_some());
+            assert!(LOG_SOURCES.contains(&&*name) && columns.units.is_some());
         }
     }
 }

@@ -25,45 +25,6 @@ pub const LINK_PARAMETERS: usize = 10;
 /// Most joints an arm may have: as many as a bank of the board holds.
 pub const MAX_JOINTS: usize = foretorque::dynamics::MAX_JOINTS;
 
-/// Reason for which a robot description is refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum RobotError {
-    /// Neither a built-in name nor a readable file.
-    #[error("unknown robot '{name}': not one of [{known}], and as a file: {reason}")]
-    NotFound {
-        /// Name that was given.
-        name: String,
-        /// The built-in names, joined by commas.
-        known: String,
-        /// Reason for which the file cannot be read.
-        reason: String,
-    },
-    /// The file is not a robot description.
-    #[error("{file}: {reason}")]
-    Syntax {
-        /// File or built-in name.
-        file: String,
-        /// First complaint of the parser, with its line.
-        reason: String,
-    },
-    /// A value is missing or makes no sense.
-    #[error("{file}: {field}: {problem}")]
-    Field {
-        /// File or built-in name.
-        file: String,
-        /// Path of the field, for example `joints[2].link.mass_kg`.
-        field: String,
-        /// Reason.
-        problem: String,
-    },
-    /// The file is a URDF that does not describe one arm.
-    #[error("{problem}")]
-    Urdf {
-        /// Reason, with the file and the element.
-        problem: String,
-    },
-}
-
 /// Mass distribution of one link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {

@@ -1,6 +1,7 @@
 //! From a name or a file to a robot; overlays, a TOML file with what a URDF or MJCF does not have.
 
-use super::{Drive, Friction, Limits, Robot, RobotError, file, overlay};
+use super::{Drive, Friction, Limits, Robot, file, overlay};
+use crate::Refusal;
 use crate::urdf::{self, Import, Selection};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -76,7 +77,7 @@ pub(super) fn read(
     path: &str,
     text: &str,
     selection: &Selection<'_>,
-) -> Result<Option<Import>, RobotError> {
+) -> Result<Option<Import>, Refusal> {
     if !text
         .parse::<Table>()
         .is_ok_and(|table| table.contains_key(FROM))
@@ -84,12 +85,8 @@ pub(super) fn read(
         return Ok(None);
     }
     let overlay: OverlayFile =
-        toml::from_str(text).map_err(|error| file::syntax(path, text, &error))?;
-    let field = |field: &str, problem: String| RobotError::Field {
-        file: path.to_owned(),
-        field: field.to_owned(),
-        problem,
-    };
+        toml::from_str(text).map_err(|error| Refusal::toml(path, text, &error))?;
+    let field = |field: &str, problem: String| Refusal::of(path, format!("{field}: {problem}"));
     if overlay
         .link_mass_kg
         .is_some_and(|mass| mass.is_nan() || mass <= 0.0)
@@ -122,12 +119,9 @@ fn merged(
     path: &str,
     robot: &Robot,
     mut overlay: Table,
-    field: &dyn Fn(&str, String) -> RobotError,
-) -> Result<Robot, RobotError> {
-    let unreadable = |reason: String| RobotError::Syntax {
-        file: path.to_owned(),
-        reason,
-    };
+    field: &dyn Fn(&str, String) -> Refusal,
+) -> Result<Robot, Refusal> {
+    let unreadable = |reason: String| Refusal::of(path, reason);
     let whole = robot.to_toml().map_err(|e| unreadable(e.to_string()))?;
     let mut whole: Table = whole.parse().map_err(|e| unreadable(format!("{e}")))?;
     let joints = match overlay.remove("joints") {
@@ -206,13 +200,13 @@ impl Robot {
 
     /// A built-in robot by name, or a description or URDF file by path.
     ///
-    /// Errors: [`RobotError`], naming the file and the field.
+    /// Errors: a line that names the file and the field.
     ///
     /// ```
     /// let ur5 = foretorque_description::robot::Robot::load("ur5").unwrap();
     /// assert_eq!(ur5.joints.len(), 6);
     /// ```
-    pub fn load(name_or_path: &str) -> Result<Self, RobotError> {
+    pub fn load(name_or_path: &str) -> Result<Self, Refusal> {
         let import = Self::load_selected(name_or_path, &Selection::default())?;
         Ok(import.robot)
     }
@@ -220,19 +214,15 @@ impl Robot {
     /// [`load`](Self::load) with the selection of a URDF's arm, and the notes of its reading.
     ///
     /// Errors: as there.
-    pub fn load_selected(
-        name_or_path: &str,
-        selection: &Selection<'_>,
-    ) -> Result<Import, RobotError> {
+    pub fn load_selected(name_or_path: &str, selection: &Selection<'_>) -> Result<Import, Refusal> {
         if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
             return Self::parse_selected(name, text, selection);
         }
         let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
-            RobotError::NotFound {
-                name: name_or_path.to_owned(),
-                known: Self::built_in().collect::<Vec<_>>().join(", "),
-                reason: error.to_string(),
-            }
+            let known = Self::built_in().collect::<Vec<_>>().join(", ");
+            Refusal(format!(
+                "unknown robot '{name_or_path}': not one of [{known}], and as a file: {error}"
+            ))
         })?;
         Self::parse_selected(name_or_path, &text, selection)
     }
@@ -240,8 +230,8 @@ impl Robot {
     /// A robot from the text of a description or of a URDF with a single arm; `file` is used in messages, and its directory
     /// for files that the text names.
     ///
-    /// Errors: [`RobotError::Syntax`], [`RobotError::Field`], [`RobotError::Urdf`].
-    pub fn parse(file: &str, text: &str) -> Result<Self, RobotError> {
+    /// Errors: a line that names the file and the field.
+    pub fn parse(file: &str, text: &str) -> Result<Self, Refusal> {
         Ok(Self::parse_selected(file, text, &Selection::default())?.robot)
     }
 
@@ -249,22 +239,17 @@ impl Robot {
         file: &str,
         text: &str,
         selection: &Selection<'_>,
-    ) -> Result<Import, RobotError> {
+    ) -> Result<Import, Refusal> {
         // TOML never begins with '<', XML always does.
         if text.trim_start().starts_with('<') {
-            return urdf::parse(file, text, selection).map_err(|error| RobotError::Urdf {
-                problem: error.to_string(),
-            });
+            return urdf::parse(file, text, selection);
         }
         if let Some(import) = overlay::read(file, text, selection)? {
             return Ok(import);
         }
         if *selection != Selection::default() {
-            return Err(RobotError::Urdf {
-                problem: format!(
-                    "{file}: --base, --tip, --weld, --repair and --link-mass are for a URDF"
-                ),
-            });
+            let problem = "--base, --tip, --weld, --repair and --link-mass are for a URDF";
+            return Err(Refusal::of(file, problem));
         }
         Ok(Import {
             robot: file::parse(file, text)?,

@@ -2,7 +2,7 @@
 
 use super::document::{Document, JointElement};
 use super::tree::Tree;
-use super::{Import, JointProblem, Selection, UrdfProblem};
+use super::{Import, Selection};
 use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot, Workspace};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use std::f64::consts::{PI, TAU};
@@ -19,7 +19,7 @@ const FRICTION_SHARE: f64 = 0.75;
 const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);
 
 /// Builds the arm that the selection picks from the tree.
-pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Import, UrdfProblem> {
+pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Import, String> {
     let mut tree = Tree::of(document)?;
     let base = tree.base(selection)?;
     let path = match selection.tip {
@@ -36,9 +36,11 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     if !(1..=MAX_JOINTS).contains(&moving) {
         let mut moved = path.iter().filter(|&&joint| !tree.is_fixed(joint));
         let last = moved.nth(MAX_JOINTS - 1).map(|&joint| tree.child[joint]);
-        return Err(UrdfProblem::JointCount {
-            joints: moving,
-            tip: last.map_or(String::new(), |link| document.links[link].name.clone()),
+        return Err(match last.map(|link| &document.links[link].name) {
+            None => "no moving joint between base and tip".to_owned(),
+            Some(tip) => format!(
+                "{moving} moving joints, an arm has at most {MAX_JOINTS}: choose its ends with --base and --tip, such as --tip '{tip}'"
+            ),
         });
     }
     let mut notes = tree.left_out(base, &path, end);
@@ -66,11 +68,8 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             continue;
         }
         let turn = usable(element).and_then(z_onto_axis);
-        let turn = turn.map_err(|problem| UrdfProblem::Joint {
-            joint: element.name.clone(),
-            problem,
-            mend: without(document, &path),
-        })?;
+        let of_joint = |problem: String| format!("joint '{}' {problem}", element.name);
+        let turn = turn.map_err(|problem| of_joint(problem + &without(document, &path)))?;
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
         let link = tree.lumped(index, &link_frame, end, selection, &mut notes)?;
@@ -84,11 +83,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
                 encoder_bits: ENCODER_BITS,
             },
             friction: friction(element),
-            limits: limits(element, &mut notes).map_err(|problem| UrdfProblem::Joint {
-                joint: element.name.clone(),
-                problem: JointProblem::Limit(problem),
-                mend: String::new(),
-            })?,
+            limits: limits(element, &mut notes).map_err(of_joint)?,
             // Collision shapes of a URDF are meshes as a rule.
             capsules: Vec::new(),
             link_name: Some(document.links[tree.child[index]].name.clone()),
@@ -157,19 +152,21 @@ fn without(document: &Document, path: &[usize]) -> String {
     }
 }
 
-fn usable(joint: &JointElement) -> Result<&JointElement, JointProblem> {
-    if !matches!(joint.kind.as_str(), "revolute" | "continuous") {
-        Err(JointProblem::Type(joint.kind.clone()))
-    } else if joint.mimic {
-        Err(JointProblem::Mimic)
-    } else {
-        Ok(joint)
+fn usable(joint: &JointElement) -> Result<&JointElement, String> {
+    match joint.kind.as_str() {
+        "revolute" | "continuous" if joint.mimic => {
+            Err("mimics another joint: an arm's joints move on their own".to_owned())
+        }
+        "revolute" | "continuous" => Ok(joint),
+        kind => Err(format!(
+            "is {kind}: only revolute, continuous and fixed joints are supported"
+        )),
     }
 }
 
 /// The smallest rotation A with A z = axis; it permutes axes when the axis is one of ±x, ±y, ±z.
-fn z_onto_axis(joint: &JointElement) -> Result<Placement, JointProblem> {
-    let axis = Unit::try_new(joint.axis, 1e-9).ok_or(JointProblem::Axis)?;
+fn z_onto_axis(joint: &JointElement) -> Result<Placement, String> {
+    let axis = Unit::try_new(joint.axis, 1e-9).ok_or("has an axis of length zero")?;
     let half_turn = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
     let rot = Rotation3::rotation_between(&Vector3::z(), &axis);
     let turn = Placement {
@@ -194,11 +191,6 @@ fn friction(joint: &JointElement) -> Friction {
 
 fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, String> {
     let limit = &joint.limit;
-    let positive = |name: &str, value: Option<f64>| match value {
-        Some(value) if value > 0.0 => Ok(value),
-        Some(value) => Err(format!("has the {name} limit {value}, must be positive")),
-        None => Err(format!("has no {name} limit")),
-    };
     let velocity = limit
         .velocity
         .filter(|value| *value > 0.0)
@@ -229,10 +221,11 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
             );
         }
     };
-    let acceleration = match limit.acceleration {
-        Some(_) => positive("acceleration", limit.acceleration)?,
-        None => ACCELERATION,
-    };
+    let acceleration = limit.acceleration.unwrap_or(ACCELERATION);
+    if acceleration <= 0.0 {
+        let problem = format!("has the acceleration limit {acceleration}, must be positive");
+        return Err(problem);
+    }
     Ok(Limits {
         position,
         velocity,

@@ -1,6 +1,5 @@
 //! The elements of a URDF or MJCF that matter to dynamics, as they are written.
 
-use super::UrdfProblem;
 use crate::robot::{Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::Node;
@@ -96,17 +95,17 @@ fn xml(text: &str) -> Result<roxmltree::Document<'_>, roxmltree::Error> {
 }
 
 /// The XML of a file; a document type is allowed.
-pub(super) fn parsed(text: &str) -> Result<roxmltree::Document<'_>, UrdfProblem> {
-    xml(text).map_err(|error| UrdfProblem::Syntax(error.to_string()))
+pub(super) fn parsed(text: &str) -> Result<roxmltree::Document<'_>, String> {
+    xml(text).map_err(|error| no_robot(&error.to_string()))
 }
 
 /// Reads all links and joints of a URDF.
-pub(super) fn read(text: &str) -> Result<Document, UrdfProblem> {
+pub(super) fn read(text: &str) -> Result<Document, String> {
     let xml = parsed(text)?;
     let root = xml.root_element();
     if root.tag_name().name() != "robot" {
         let found = root.tag_name().name();
-        return Err(UrdfProblem::Syntax(format!(
+        return Err(no_robot(&format!(
             "<{found}> instead of <robot> or <mujoco>"
         )));
     }
@@ -116,7 +115,7 @@ pub(super) fn read(text: &str) -> Result<Document, UrdfProblem> {
             .is_some_and(|n| n.ends_with("xacro"))
     };
     if root.descendants().any(is_macro) {
-        return Err(UrdfProblem::Xacro);
+        return Err("contains xacro macros: expand them first (xacro FILE)".to_owned());
     }
     let links = children(root, "link")
         .map(link)
@@ -125,28 +124,36 @@ pub(super) fn read(text: &str) -> Result<Document, UrdfProblem> {
     let joints = children(root, "joint")
         .map(joint)
         .collect::<Result<Vec<_>, _>>()?;
-    unique(links.iter().map(|link| link.name.as_str()))?;
-    unique(joints.iter().map(|joint| joint.name.as_str()))?;
-    Ok(Document {
+    let document = Document {
         name: root.attribute("name").unwrap_or_default().to_owned(),
         gravity: EARTH,
         notes: Vec::new(),
         links,
         joints,
-    })
+    };
+    document.unique()
 }
 
-pub(super) fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), UrdfProblem> {
+impl Document {
+    /// This document, if no name is used twice.
+    pub(super) fn unique(self) -> Result<Self, String> {
+        unique(self.links.iter().map(|link| link.name.as_str()))?;
+        unique(self.joints.iter().map(|joint| joint.name.as_str()))?;
+        Ok(self)
+    }
+}
+
+fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), String> {
     let mut seen = std::collections::HashSet::new();
     for name in names {
         if !seen.insert(name) {
-            return Err(UrdfProblem::Duplicate(name.to_owned()));
+            return Err(format!("the name '{name}' is used twice"));
         }
     }
     Ok(())
 }
 
-fn link(node: Node<'_, '_>) -> Result<LinkElement, UrdfProblem> {
+fn link(node: Node<'_, '_>) -> Result<LinkElement, String> {
     let inertial = match child(node, "inertial") {
         Some(inertial) => inertia(inertial)?,
         None => None,
@@ -158,7 +165,7 @@ fn link(node: Node<'_, '_>) -> Result<LinkElement, UrdfProblem> {
 }
 
 /// Mass distribution of an `<inertial>`, in the link frame; `None` when everything in it is zero.
-fn inertia(node: Node<'_, '_>) -> Result<Option<Link>, UrdfProblem> {
+fn inertia(node: Node<'_, '_>) -> Result<Option<Link>, String> {
     let mass = number(required_child(node, "mass")?, "value")?;
     let tensor = required_child(node, "inertia")?;
     let entry = |name| number(tensor, name);
@@ -177,30 +184,26 @@ fn inertia(node: Node<'_, '_>) -> Result<Option<Link>, UrdfProblem> {
     }))
 }
 
-fn joint(node: Node<'_, '_>) -> Result<JointElement, UrdfProblem> {
+fn joint(node: Node<'_, '_>) -> Result<JointElement, String> {
     let (origin, squared) = origin(node)?;
     let axis = match child(node, "axis") {
         Some(axis) => vector(axis, "xyz")?.unwrap_or(Vector3::x()),
         // The default of the format.
         None => Vector3::x(),
     };
-    let limit = match child(node, "limit") {
-        Some(limit) => LimitElement {
-            lower: optional(limit, "lower")?,
-            upper: optional(limit, "upper")?,
-            velocity: optional(limit, "velocity")?,
-            effort: optional(limit, "effort")?,
-            acceleration: optional(limit, "acceleration")?,
-        },
-        None => LimitElement::default(),
+    let of = |element: &str, name: &str| match child(node, element) {
+        Some(element) => optional(element, name),
+        None => Ok(None),
     };
-    let friction = match child(node, "dynamics") {
-        Some(dynamics) => (
-            optional(dynamics, "damping")?.unwrap_or(0.0),
-            optional(dynamics, "friction")?.unwrap_or(0.0),
-        ),
-        None => (0.0, 0.0),
+    let limit = LimitElement {
+        lower: of("limit", "lower")?,
+        upper: of("limit", "upper")?,
+        velocity: of("limit", "velocity")?,
+        effort: of("limit", "effort")?,
+        acceleration: of("limit", "acceleration")?,
     };
+    let damping = of("dynamics", "damping")?.unwrap_or(0.0);
+    let friction = (damping, of("dynamics", "friction")?.unwrap_or(0.0));
     Ok(JointElement {
         name: required(node, "name")?.to_owned(),
         kind: required(node, "type")?.to_owned(),
@@ -217,7 +220,7 @@ fn joint(node: Node<'_, '_>) -> Result<JointElement, UrdfProblem> {
 }
 
 /// The `<origin>` of an element, and whether angles in it were taken for right ones.
-fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), UrdfProblem> {
+fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), String> {
     let Some(node) = child(node, "origin") else {
         return Ok((Placement::identity(), false));
     };
@@ -250,40 +253,43 @@ pub(super) fn child<'a, 'input>(node: Node<'a, 'input>, name: &str) -> Option<No
     children(node, name).next()
 }
 
-pub(super) fn problem(node: Node<'_, '_>, what: &str) -> UrdfProblem {
+/// The problem of a text that is not XML, or of XML that is not a robot.
+pub(super) fn no_robot(reason: &str) -> String {
+    format!("not a URDF or MJCF: {reason}")
+}
+
+/// The problem of an element, with its line.
+pub(super) fn problem(node: Node<'_, '_>, what: &str) -> String {
     let line = node.document().text_pos_at(node.range().start).row;
     let element = node.tag_name().name();
-    UrdfProblem::Element {
-        line,
-        problem: format!("<{element}> {what}"),
-    }
+    format!("line {line}: <{element}> {what}")
 }
 
 pub(super) fn required_child<'a, 'input>(
     node: Node<'a, 'input>,
     name: &str,
-) -> Result<Node<'a, 'input>, UrdfProblem> {
+) -> Result<Node<'a, 'input>, String> {
     child(node, name).ok_or_else(|| problem(node, &format!("has no <{name}>")))
 }
 
-pub(super) fn required<'a>(node: Node<'a, '_>, name: &str) -> Result<&'a str, UrdfProblem> {
+pub(super) fn required<'a>(node: Node<'a, '_>, name: &str) -> Result<&'a str, String> {
     node.attribute(name)
         .ok_or_else(|| problem(node, &format!("has no attribute '{name}'")))
 }
 
-pub(super) fn number(node: Node<'_, '_>, name: &str) -> Result<f64, UrdfProblem> {
+pub(super) fn number(node: Node<'_, '_>, name: &str) -> Result<f64, String> {
     let text = required(node, name)?;
     parse_number(text).ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a number")))
 }
 
-pub(super) fn optional(node: Node<'_, '_>, name: &str) -> Result<Option<f64>, UrdfProblem> {
+pub(super) fn optional(node: Node<'_, '_>, name: &str) -> Result<Option<f64>, String> {
     match node.attribute(name) {
         Some(_) => number(node, name).map(Some),
         None => Ok(None),
     }
 }
 
-pub(super) fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f64>>, UrdfProblem> {
+pub(super) fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f64>>, String> {
     let Some(text) = node.attribute(name) else {
         return Ok(None);
     };

@@ -6,10 +6,9 @@
 
 mod attributes;
 
-use super::UrdfProblem;
 use super::document::{
     Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, child,
-    children, number, optional, parse_number, parsed, problem, required, unique, vector,
+    children, no_robot, number, optional, parse_number, parsed, problem, required, vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};
@@ -26,7 +25,7 @@ const MOST_CLASSES: usize = 64;
 /// The text with every `<include>` replaced by what the file in it has under its root.
 ///
 /// * `file` path of the text; included files lie beside it
-fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
+fn with_included(file: &Path, text: String) -> Result<String, String> {
     let mut text = text;
     for _ in 0..MOST_INCLUDES {
         let xml = parsed(&text)?;
@@ -52,7 +51,7 @@ fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
         }
         text = whole;
     }
-    Err(UrdfProblem::Syntax(format!(
+    Err(no_robot(&format!(
         "more than {MOST_INCLUDES} files include each other"
     )))
 }
@@ -60,7 +59,7 @@ fn with_included(file: &Path, text: String) -> Result<String, UrdfProblem> {
 /// Reads all bodies and joints under `<mujoco>`.
 ///
 /// * `file` path of the text; included files lie beside it
-pub(super) fn read(file: &Path, text: String) -> Result<Document, UrdfProblem> {
+pub(super) fn read(file: &Path, text: String) -> Result<Document, String> {
     let text = with_included(file, text)?;
     let xml = parsed(&text)?;
     let root = xml.root_element();
@@ -97,25 +96,14 @@ pub(super) fn read(file: &Path, text: String) -> Result<Document, UrdfProblem> {
     for world in children(root, "worldbody") {
         reader.bodies(world, "world", Placement::identity(), "main")?;
     }
-    for actuators in children(root, "actuator") {
-        for actuator in actuators.children().filter(Node::is_element) {
-            reader.actuator(actuator)?;
-        }
+    let inside = |name| children(root, name).flat_map(|n| n.children().filter(Node::is_element));
+    for actuator in inside("actuator") {
+        reader.actuator(actuator)?;
     }
-    for equalities in children(root, "equality") {
-        for equality in equalities.children().filter(Node::is_element) {
-            reader.equality(equality)?;
-        }
+    for equality in inside("equality") {
+        reader.equality(equality)?;
     }
-    unique(reader.document.links.iter().map(|link| link.name.as_str()))?;
-    unique(
-        reader
-            .document
-            .joints
-            .iter()
-            .map(|joint| joint.name.as_str()),
-    )?;
-    Ok(reader.document)
+    reader.document.unique()
 }
 
 struct Reader<'a, 'input> {
@@ -134,7 +122,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         link: &str,
         at: Placement,
         class: &str,
-    ) -> Result<(), UrdfProblem> {
+    ) -> Result<(), String> {
         for inner in node.children().filter(Node::is_element) {
             let class = inner.attribute("childclass").unwrap_or(class);
             match inner.tag_name().name() {
@@ -161,19 +149,14 @@ impl<'a, 'input> Reader<'a, 'input> {
         parent: &str,
         pose: Placement,
         class: &str,
-    ) -> Result<(), UrdfProblem> {
+    ) -> Result<(), String> {
         let unnamed = || format!("body_{}", self.document.links.len());
         let name = node.attribute("name").map_or_else(unnamed, str::to_owned);
         let inertial = child(node, "inertial").map(|inertial| self.inertia(inertial));
-        if node
-            .attribute("gravcomp")
-            .and_then(parse_number)
-            .unwrap_or(0.0)
-            != 0.0
-        {
-            self.document
-                .notes
-                .push(format!("body '{name}': gravcomp is left out"));
+        let gravcomp = node.attribute("gravcomp").and_then(parse_number);
+        if gravcomp.is_some_and(|share| share != 0.0) {
+            let note = format!("body '{name}': gravcomp is left out");
+            self.document.notes.push(note);
         }
         let (mut carrier, mut place) = (parent.to_owned(), pose);
         let is_joint = |n: &Node<'_, '_>| n.has_tag_name("joint") || n.has_tag_name("freejoint");
@@ -210,7 +193,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Mass distribution in the body's frame; `None` without mass.
-    fn inertia(&self, node: Node<'a, 'input>) -> Result<Option<Link>, UrdfProblem> {
+    fn inertia(&self, node: Node<'a, 'input>) -> Result<Option<Link>, String> {
         let mass = number(node, "mass")?;
         let written = match (
             &numbers(node, "fullinertia")?[..],
@@ -243,7 +226,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         parent: &str,
         place: &Placement,
         class: &str,
-    ) -> Result<(JointElement, Placement), UrdfProblem> {
+    ) -> Result<(JointElement, Placement), String> {
         let unnamed = || format!("joint_{}", self.document.joints.len());
         let name = node.attribute("name").map_or_else(unnamed, str::to_owned);
         let of = |attribute: &str| self.value(node, class, attribute);
@@ -312,7 +295,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Takes the torque limit of the joint that an actuator drives, if it is the lower one.
-    fn actuator(&mut self, node: Node<'a, 'input>) -> Result<(), UrdfProblem> {
+    fn actuator(&mut self, node: Node<'a, 'input>) -> Result<(), String> {
         let Some(name) = node.attribute("joint") else {
             return Ok(());
         };
@@ -339,7 +322,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Marks the joints that an equality holds: they do not move on their own.
-    fn equality(&mut self, node: Node<'a, 'input>) -> Result<(), UrdfProblem> {
+    fn equality(&mut self, node: Node<'a, 'input>) -> Result<(), String> {
         if node.attribute("active") == Some("false") {
             return Ok(());
         }

@@ -1,7 +1,7 @@
 //! The tree of links: which path is the arm, and what moves as one body.
 
-use super::document::Document;
-use super::{Selection, UrdfProblem};
+use super::Selection;
+use super::document::{Document, no_robot};
 use crate::robot::{Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 
@@ -18,7 +18,7 @@ pub(super) struct Tree<'a> {
 }
 
 impl<'a> Tree<'a> {
-    pub(super) fn of(document: &'a Document) -> Result<Self, UrdfProblem> {
+    pub(super) fn of(document: &'a Document) -> Result<Self, String> {
         let count = document.links.len();
         let mut tree = Self {
             document,
@@ -30,47 +30,37 @@ impl<'a> Tree<'a> {
         };
         for (index, joint) in document.joints.iter().enumerate() {
             let named_by = format!("joint '{}'", joint.name);
-            let parent = tree.link(&joint.parent, &named_by).map_err(|mut problem| {
-                if let (UrdfProblem::UnknownLink { mend, .. }, Ok(_)) =
-                    (&mut problem, tree.link(&joint.child, ""))
-                {
-                    *mend = format!(" (--base '{}' begins the arm behind it)", joint.child);
-                }
-                problem
+            let child = tree.link(&joint.child);
+            let parent = tree.link(&joint.parent).ok_or_else(|| {
+                let mend =
+                    child.map(|_| format!(" (--base '{}' begins the arm behind it)", joint.child));
+                unknown_link(&joint.parent, &named_by, &mend.unwrap_or_default())
             })?;
-            let child = tree.link(&joint.child, &named_by)?;
+            let child = child.ok_or_else(|| unknown_link(&joint.child, &named_by, ""))?;
             tree.parent.push(parent);
             tree.child.push(child);
             tree.carried[parent].push(index);
             if tree.carrier[child].replace(index).is_some() {
-                return Err(UrdfProblem::NotATree(joint.child.clone()));
+                return Err(not_a_tree(&joint.child));
             }
         }
         // One parent each: whoever has more ancestors than there are links stands on a loop.
         for start in 0..count {
             let ancestors = std::iter::successors(Some(start), |&link| tree.below(link));
             if ancestors.take(count + 1).count() > count {
-                return Err(UrdfProblem::NotATree(document.links[start].name.clone()));
+                return Err(not_a_tree(&document.links[start].name));
             }
         }
         Ok(tree)
     }
 
-    pub(super) fn link(&self, name: &str, named_by: &str) -> Result<usize, UrdfProblem> {
-        let found = self
-            .document
-            .links
-            .iter()
-            .position(|link| link.name == name);
-        found.ok_or_else(|| UrdfProblem::UnknownLink {
-            link: name.to_owned(),
-            named_by: named_by.to_owned(),
-            mend: String::new(),
-        })
+    fn link(&self, name: &str) -> Option<usize> {
+        let mut links = self.document.links.iter();
+        links.position(|link| link.name == name)
     }
 
-    fn name(&self, link: usize) -> String {
-        self.document.links[link].name.clone()
+    fn name(&self, link: usize) -> &str {
+        &self.document.links[link].name
     }
 
     /// The link that carries this one.
@@ -95,24 +85,12 @@ impl<'a> Tree<'a> {
         name: &str,
         named_by: &str,
         parent: bool,
-    ) -> Result<usize, UrdfProblem> {
+    ) -> Result<usize, String> {
         let mut joints = self.document.joints.iter();
-        match (
-            self.link(name, named_by),
-            joints.position(|joint| joint.name == name),
-        ) {
-            (Err(_), Some(joint)) if parent => Ok(self.parent[joint]),
-            (Err(_), Some(joint)) => Ok(self.child[joint]),
-            (Err(UrdfProblem::UnknownLink { link, named_by, .. }), None) => {
-                let mend = self.near(&link);
-                Err(UrdfProblem::UnknownLink {
-                    link,
-                    named_by,
-                    mend,
-                })
-            }
-            (link, _) => link,
-        }
+        let joint = joints.position(|joint| joint.name == name);
+        let links = if parent { &self.parent } else { &self.child };
+        let link = self.link(name).or(joint.map(|joint| links[joint]));
+        link.ok_or_else(|| unknown_link(name, named_by, &self.near(name)))
     }
 
     /// Question for the links and joints with the names nearest to `name`; empty where none is near.
@@ -137,34 +115,33 @@ impl<'a> Tree<'a> {
         }
     }
 
-    pub(super) fn base(&self, selection: &Selection<'_>) -> Result<usize, UrdfProblem> {
+    pub(super) fn base(&self, selection: &Selection<'_>) -> Result<usize, String> {
         if let Some(name) = selection.base {
             return self.link_or_joint(name, "--base", true);
         }
         let mut roots = (0..self.carrier.len()).filter(|&link| self.carrier[link].is_none());
         match (roots.next(), roots.next()) {
             (Some(root), None) => Ok(root),
-            (Some(first), Some(second)) => Err(UrdfProblem::Roots(
-                [first, second]
-                    .into_iter()
-                    .chain(roots)
-                    .map(|link| self.name(link))
-                    .collect(),
-            )),
-            (None, _) => Err(UrdfProblem::Syntax("no links".to_owned())),
+            (Some(first), Some(second)) => {
+                let roots = [first, second].into_iter().chain(roots);
+                let roots: Vec<&str> = roots.map(|link| self.name(link)).collect();
+                let roots = roots.join("', '");
+                Err(format!(
+                    "links '{roots}' have no parent: choose one with --base"
+                ))
+            }
+            (None, _) => Err(no_robot("no links")),
         }
     }
 
     /// Joints from base to tip.
-    pub(super) fn path_to(&self, base: usize, tip: usize) -> Result<Vec<usize>, UrdfProblem> {
+    pub(super) fn path_to(&self, base: usize, tip: usize) -> Result<Vec<usize>, String> {
         let mut path = Vec::new();
         let mut link = tip;
         while link != base {
             let Some(joint) = self.carrier[link] else {
-                return Err(UrdfProblem::NotBelow {
-                    base: self.name(base),
-                    tip: self.name(tip),
-                });
+                let (base, tip) = (self.name(base), self.name(tip));
+                return Err(format!("link '{tip}' is not carried by link '{base}'"));
             };
             path.push(joint);
             link = self.parent[joint];
@@ -208,7 +185,7 @@ impl<'a> Tree<'a> {
     }
 
     /// Joints from base to the link where everything beyond is fixed, prismatic, mimic or fingers.
-    pub(super) fn only_path(&self, base: usize) -> Result<Vec<usize>, UrdfProblem> {
+    pub(super) fn only_path(&self, base: usize) -> Result<Vec<usize>, String> {
         let mut end = base;
         loop {
             let body = self.rigid_body(end, Placement::identity(), None);
@@ -230,13 +207,12 @@ impl<'a> Tree<'a> {
                 [joint] => end = self.child[joint],
                 _ => {
                     on.sort_by_key(|&joint| std::cmp::Reverse(self.reach(joint)));
-                    return Err(UrdfProblem::Branch {
-                        link: self.name(end),
-                        tips: on
-                            .iter()
-                            .map(|&joint| self.name(self.farthest(joint)))
-                            .collect(),
-                    });
+                    let tips = on.iter().map(|&joint| self.name(self.farthest(joint)));
+                    let tips = tips.collect::<Vec<_>>().join("' or --tip '");
+                    let link = self.name(end);
+                    return Err(format!(
+                        "the tree branches at link '{link}': choose the arm's end with --tip '{tips}'"
+                    ));
                 }
             }
         }
@@ -286,14 +262,15 @@ impl<'a> Tree<'a> {
         end: Option<usize>,
         selection: &Selection<'_>,
         notes: &mut Vec<String>,
-    ) -> Result<Link, UrdfProblem> {
+    ) -> Result<Link, String> {
         let moved = self.child[joint];
-        let not_a_body = |link: usize, reason: String| UrdfProblem::NotABody {
-            link: self.name(link),
-            reason,
-        };
+        let not_a_body =
+            |link: usize, reason: String| format!("link '{}': {reason}", self.name(link));
         let inertia_reason = |link: &Link| {
-            Link::inertia_problem(&link.inertia_com).map(|problem| format!("inertia {problem}"))
+            let problem = Link::inertia_problem(&link.inertia_com)?;
+            Some(format!(
+                "inertia {problem} (--repair takes the nearest of a body)"
+            ))
         };
         let mut parts = Vec::new();
         for (link, frame) in self.rigid_body(moved, *frame, end) {
@@ -344,9 +321,11 @@ impl<'a> Tree<'a> {
             ));
             parts.push(Link::rod(mass, &end).placed(frame));
         }
-        let body = Link::lumped(&parts).ok_or_else(|| UrdfProblem::NoInertia {
-            link: self.name(moved),
-            joint: self.document.joints[joint].name.clone(),
+        let body = Link::lumped(&parts).ok_or_else(|| {
+            let (link, joint) = (self.name(moved), &self.document.joints[joint].name);
+            format!(
+                "link '{link}' is moved by joint '{joint}' but has no inertial data: give such links a mass with --link-mass"
+            )
         })?;
         match inertia_reason(&body) {
             Some(reason) => Err(not_a_body(moved, reason)),
@@ -379,4 +358,12 @@ impl<'a> Tree<'a> {
         }
         notes
     }
+}
+
+fn unknown_link(link: &str, named_by: &str, mend: &str) -> String {
+    format!("{named_by} names '{link}', which is neither a link nor a joint{mend}")
+}
+
+fn not_a_tree(link: &str) -> String {
+    format!("link '{link}' closes a loop or has two parents, only a tree is an arm")
 }

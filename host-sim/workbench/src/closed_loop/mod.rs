@@ -296,17 +296,4 @@ mod tests {
             assert!(soft.kp[j] > rotor * (TAU * 3.0).powi(2));
         }
     }
-
-    #[test]
-    fn no_error_asks_for_no_torque() {
-        let robot = Robot::load("ur5").expect("built in");
-        let model = ReferenceModel::<6>::new(&robot).expect("six joints");
-        let config = PdConfig::tuned(&model, 6.0, 1e-3);
-        let q = Joints::repeat(0.3);
-        let mut state = PdState::new(q);
-        assert_eq!(
-            step(&config, &mut state, &q, &q, &Joints::zeros()),
-            Joints::<6>::zeros()
-        );
-    }
 }

@@ -1,7 +1,8 @@
 //! The certificate of an excitation: every limit with its worst value.
 
-use super::ExcitationError;
 use super::information::Criterion;
+use super::refused;
+use crate::Refusal;
 use serde::Serialize;
 
 /// One limit, and the worst that the path makes of it.
@@ -124,22 +125,22 @@ pub struct Certificate {
 
 impl Certificate {
     /// By how much the worst limit is missed, relative to its size, and the error of all missed ones of its kind.
-    pub(super) fn violation(&self) -> Option<(f64, ExcitationError)> {
+    pub(super) fn violation(&self) -> Option<(f64, Refusal)> {
         let relative = LimitCheck::relative_margin;
         let limits = || self.limits.iter();
         let worst = limits().min_by(|a, b| relative(a).total_cmp(&relative(b)))?;
         let alike = limits().filter(|check| check.limit == worst.limit);
         let missed = alike.filter(|check| check.margin < 0.0 || *check == worst);
-        let error = ExcitationError::Unkept {
-            missed: missed.map(LimitCheck::violation).collect(),
-            mend: match worst.limit {
-                "torque" => {
-                    ": correct it with --torque-limits, or narrow the motion with --range-rad"
-                }
-                "condition number" => ": allow a larger one with --condition-limit",
-                _ => "",
-            },
+        let missed: Vec<String> = missed.map(LimitCheck::violation).collect();
+        let mend = match worst.limit {
+            "torque" => ": correct it with --torque-limits, or narrow the motion with --range-rad",
+            "condition number" => ": allow a larger one with --condition-limit",
+            _ => "",
         };
-        Some((-relative(worst), error))
+        let missed = missed.join("; ");
+        let refusal = refused(format!(
+            "no path keeps all limits; the best one has {missed}{mend}"
+        ));
+        Some((-relative(worst), refusal))
     }
 }

@@ -1,13 +1,14 @@
 //! Check of an excitation: every limit on a fine grid, with bounds between its points.
 
-use super::ExcitationError;
 use super::certificate::{Certificate, LimitCheck};
 use super::information::{Criterion, NOISE, SAMPLES, condition_number};
-use super::objective::Objective;
+use super::objective::{Objective, SearchConfig};
 use super::path::Excitation;
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
 use super::series::Extremes;
+use super::unseen;
+use crate::Refusal;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
@@ -17,37 +18,29 @@ use std::f64::consts::TAU;
 const POINTS: usize = 10_000;
 const STEP_S: f64 = 1e-3;
 
-/// Facts about the search that a certificate reports.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Provenance {
-    pub(super) criterion: Criterion,
-    pub(super) starts: usize,
-    /// Infinite where there is none.
-    pub(super) condition_limit: f64,
-    pub(super) range_rad: f64,
-    pub(super) speed_share: Vec<f64>,
-}
-
 const BETWEEN: &str = "position, velocity, acceleration: K h^2/8 with K the bound of the second derivative of the series; \
 clearance and torque: h/2 times a bound of their rate of change around each point; points closer where that exceeds a torque limit";
 const CONDITION_NOTE: &str = "raw SI base regressor of the links, first independent columns from left to right; it depends on \
 link frames and columns: compare with the same frames and columns only";
 
-/// Checks `excitation` against the limits of `robot`, its ranges no wider than ±`range_rad`.
+/// Checks `excitation` against the limits of `robot`, as `config` has them.
+///
+/// * `speed_share` share of the joints' limits that the search used
 ///
 /// Errors: an empty range, parameters that the path cannot distinguish.
 pub(super) fn certify(
     robot: &Robot,
     excitation: &Excitation,
     objective: &Objective,
-    origin: &Provenance,
-) -> Result<Certificate, ExcitationError> {
+    config: &SearchConfig,
+    speed_share: &[f64],
+) -> Result<Certificate, Refusal> {
     let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
     let step = excitation.period_s / points as f64;
     let states: Vec<Motion> = (0..points)
         .map(|k| excitation.motion(k as f64 * step))
         .collect();
-    let mut limits = joint_limits(robot, excitation, points, origin.range_rad)?;
+    let mut limits = joint_limits(robot, excitation, points, config.range_rad)?;
     limits.extend(torque_limits(robot, excitation, step, points));
     limits.extend(clearance_limits(excitation, objective, &states, step));
 
@@ -57,7 +50,7 @@ pub(super) fn certify(
     let sparse: Vec<Motion> = states.iter().step_by(10).copied().collect();
     let (condition_dh, worth, errors) = experiment
         .figures(&objective.rows, &sparse)
-        .ok_or(ExcitationError::Unseen)?;
+        .ok_or_else(unseen)?;
     let condition_board = condition_number(&board, &sparse);
     let has_dh = robot.joints.iter().all(|joint| joint.dh_frame.is_some());
     let frames = if has_dh {
@@ -65,12 +58,12 @@ pub(super) fn certify(
     } else {
         "joint frames"
     };
-    if origin.criterion == Criterion::Constrained && origin.condition_limit.is_finite() {
+    if config.criterion == Criterion::Constrained && config.condition_limit.is_finite() {
         limits.push(LimitCheck::at_most(
             "condition number",
             &format!("base regressor of the links, {frames}"),
             "1",
-            (condition_dh, origin.condition_limit),
+            (condition_dh, config.condition_limit),
         ));
     }
     Ok(Certificate {
@@ -89,7 +82,7 @@ pub(super) fn certify(
             .map(|(error, joint)| error / joint.limits.torque)
             .collect(),
         predicted_error_nm: errors,
-        speed_share: origin.speed_share.clone(),
+        speed_share: speed_share.to_vec(),
         condition_number_frames: frames,
         predicted_nrmse_note: format!(
             "weighted least squares on {SAMPLES} samples at 1 kHz, white torque noise of {} % of the torque limits, base, \
@@ -99,9 +92,9 @@ pub(super) fn certify(
             objective.rows.count()
         ),
         ln_spread: worth.ln_spread,
-        criterion: origin.criterion,
+        criterion: config.criterion,
         seed: excitation.seed,
-        starts: origin.starts,
+        starts: config.starts,
         version: env!("CARGO_PKG_VERSION"),
     })
 }
@@ -111,7 +104,7 @@ fn joint_limits(
     excitation: &Excitation,
     points: usize,
     range_rad: f64,
-) -> Result<Vec<LimitCheck>, ExcitationError> {
+) -> Result<Vec<LimitCheck>, Refusal> {
     let allowed = Extremes::of_limits(robot, range_rad, 1.0)?;
     let omega = TAU / excitation.period_s;
     let mut checks = Vec::new();
@@ -250,14 +243,7 @@ mod tests {
             a_rad_s: [size, 0.0, 0.0, 0.0, -size],
             b_rad_s: [0.0; 5],
         };
-        let excitation = Excitation {
-            robot: robot.name.clone(),
-            period_s: 10.0,
-            order: 5,
-            seed: 1,
-            joints: vec![swing(1.4); 6],
-            certificate: None,
-        };
+        let excitation = Excitation::of(&robot, 10.0, 1, vec![swing(1.4); 6]);
         let worst = |robot: &Robot, points: usize| -> Vec<f64> {
             let checks = torque_limits(robot, &excitation, 10.0 / points as f64, points);
             checks.iter().map(|check| check.worst).collect()

@@ -2,7 +2,6 @@
 
 use crate::dynamics::PerJoint;
 use crate::robot::{Capsule, MAX_JOINTS, Placement, Robot, segment_distance};
-use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Two bodies that keep their distance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,18 +115,13 @@ impl Clearances {
 
     /// All distances at positions `q`, m; negative where the table is cut, never below −(radii) where links meet.
     pub(super) fn write(&self, q: &[f64], out: &mut [f64]) {
-        let mut poses = [(Matrix3::identity(), Vector3::zeros()); MAX_JOINTS];
-        let (mut rot, mut origin) = (Matrix3::identity(), Vector3::zeros());
-        for k in 0..self.placements.len() {
-            origin += rot * self.placements[k].origin;
-            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), q[k]);
-            rot = rot * self.placements[k].rot_parent_child * turn.matrix();
-            poses[k] = (rot, origin);
+        let mut poses = [Placement::identity(); MAX_JOINTS];
+        let mut pose = Placement::identity();
+        for (k, placement) in self.placements.iter().enumerate() {
+            pose = pose.then(placement).turned(q[k]);
+            poses[k] = pose;
         }
-        let placed = |k: usize, capsule: &Capsule| {
-            let (rot, origin) = &poses[k];
-            capsule.ends.map(|end| origin + rot * end)
-        };
+        let placed = |k: usize, capsule: &Capsule| capsule.ends.map(|end| poses[k].point(&end));
         for (distance, pair) in out.iter_mut().zip(&self.pairs) {
             *distance = f64::INFINITY;
             match *pair {

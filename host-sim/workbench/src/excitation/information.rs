@@ -3,7 +3,7 @@
 use super::rows::Rows;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::joints;
-use crate::metrics::MOVING_RAD_S;
+use crate::metrics::{MOVING_RAD_S, condition_of};
 use crate::robot::Robot;
 use crate::trajectory::via::ViaPath;
 use nalgebra::{Cholesky, DMatrix};
@@ -195,7 +195,7 @@ impl Experiment {
     /// Condition number of the raw base regressor of the links, the figures of the path through `states`, and the predicted
     /// torque error of every joint on task motion, N·m; rows of joints at rest count as unusable.
     pub(super) fn figures(&self, rows: &Rows, states: &[Motion]) -> Option<(f64, Worth, Vec<f64>)> {
-        let mut transposed = transposed(rows, states);
+        let mut transposed = rows.transposed(states, SIGN_WIDTH_RAD_S);
         let condition = condition(&transposed, rows.link_count());
         for (k, state) in states.iter().enumerate() {
             for (j, qd) in state.qd.iter().enumerate() {
@@ -223,24 +223,15 @@ fn task(robot: &Robot, seed: u64) -> Vec<Motion> {
 
 /// Condition number of the raw base regressor of the links, in the frames of `rows`.
 pub(super) fn condition_number(rows: &Rows, states: &[Motion]) -> f64 {
-    condition(&transposed(rows, states), rows.link_count())
-}
-
-/// Regressor rows of all states, one a column, joints fastest.
-fn transposed(rows: &Rows, states: &[Motion]) -> DMatrix<f64> {
-    let (width, joints) = (rows.count(), rows.joints());
-    let mut transposed = DMatrix::zeros(width, states.len() * joints);
-    let blocks = transposed.as_mut_slice().chunks_exact_mut(joints * width);
-    for (state, block) in states.iter().zip(blocks) {
-        rows.write(state, SIGN_WIDTH_RAD_S, block);
-    }
-    transposed
+    condition(
+        &rows.transposed(states, SIGN_WIDTH_RAD_S),
+        rows.link_count(),
+    )
 }
 
 fn condition(transposed: &DMatrix<f64>, columns: usize) -> f64 {
     let links = transposed.rows(0, columns);
-    let lambda = (links * links.transpose()).symmetric_eigenvalues();
-    (lambda.max() / lambda.min().max(f64::MIN_POSITIVE)).sqrt()
+    condition_of(&(links * links.transpose()))
 }
 
 impl Worth {

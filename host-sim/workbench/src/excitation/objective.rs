@@ -11,7 +11,8 @@ use argmin::solver::linesearch::MoreThuenteLineSearch;
 use argmin::solver::quasinewton::LBFGS;
 use nalgebra::{DMatrix, DVector};
 use std::cell::RefCell;
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
+use std::num::NonZeroUsize;
 
 /// Instants of a period at which a search evaluates a path. The highest harmonic of the series has 50 a cycle.
 pub(super) const INSTANTS: usize = 250;
@@ -21,6 +22,45 @@ const SIGN_WIDTH_RAD_S: f64 = 0.05;
 const CLEARANCE_SCALE_M: f64 = 0.1;
 /// Figure of a path on which parameters cannot be distinguished.
 const UNSEEN: f64 = 1e3;
+
+/// Configuration of a search.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SearchConfig {
+    /// Period of the fundamental, s.
+    pub period_s: f64,
+    /// Objective.
+    pub criterion: Criterion,
+    /// Limit of the condition number under [`Criterion::Constrained`].
+    pub condition_limit: f64,
+    /// A result beyond that limit is none. Otherwise the best one counts where no start keeps it.
+    pub condition_required: bool,
+    /// Seed of the starts.
+    pub seed: u64,
+    /// Starts.
+    pub starts: usize,
+    /// Most iterations of a round for the finalists, one start in four; the rounds before are shorter.
+    pub iterations: usize,
+    /// Range of every joint around zero, rad, on top of the robot's own.
+    pub range_rad: f64,
+    /// Threads; the result does not depend on them. `None`: all cores.
+    pub threads: Option<NonZeroUsize>,
+}
+
+impl Default for SearchConfig {
+    fn default() -> Self {
+        Self {
+            period_s: 10.0,
+            criterion: Criterion::Constrained,
+            condition_limit: 60.0,
+            condition_required: true,
+            seed: 1,
+            starts: 24,
+            iterations: 240,
+            range_rad: PI,
+            threads: None,
+        }
+    }
+}
 
 /// Criterion and limits of one robot.
 #[derive(Clone, Debug)]
@@ -85,13 +125,7 @@ impl Objective {
     ) -> f64 {
         let (width, joints) = (self.rows.count(), self.rows.joints());
         let states: Vec<Motion> = (0..INSTANTS).map(|k| self.state(k, variables)).collect();
-        let mut transposed = DMatrix::zeros(width, INSTANTS * joints);
-        for (state, block) in states
-            .iter()
-            .zip(transposed.as_mut_slice().chunks_exact_mut(joints * width))
-        {
-            self.rows.write(state, SIGN_WIDTH_RAD_S, block);
-        }
+        let transposed = self.rows.transposed(&states, SIGN_WIDTH_RAD_S);
         let with_gradient = gradient.is_some();
         let mut adjoint = DMatrix::zeros(width, if with_gradient { INSTANTS * joints } else { 0 });
         let shares = |worth: &Worth| self.shares(worth, penalties.weight).1;

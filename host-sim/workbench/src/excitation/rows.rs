@@ -206,20 +206,20 @@ impl Rows {
         }
     }
 
+    /// Rows of all `states`, one a column, joints fastest; `sign_width` as in [`write`](Self::write).
+    pub(super) fn transposed(&self, states: &[Motion], sign_width: f64) -> DMatrix<f64> {
+        let (width, joints) = (self.count(), self.joints());
+        let mut transposed = DMatrix::zeros(width, states.len() * joints);
+        let blocks = transposed.as_mut_slice().chunks_exact_mut(joints * width);
+        for (state, block) in states.iter().zip(blocks) {
+            self.write(state, sign_width, block);
+        }
+        transposed
+    }
+
     /// The rows of all `states`, stacked.
     pub(super) fn stacked(&self, states: &[Motion]) -> DMatrix<f64> {
-        let (width, joints) = (self.count(), self.joints());
-        let mut block = vec![0.0; joints * width];
-        let mut stacked = DMatrix::zeros(states.len() * joints, width);
-        for (k, state) in states.iter().enumerate() {
-            self.write(state, 1.0, &mut block);
-            for j in 0..joints {
-                for c in 0..width {
-                    stacked[(k * joints + j, c)] = block[j * width + c];
-                }
-            }
-        }
-        stacked
+        self.transposed(states, 1.0).transpose()
     }
 
     /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques,

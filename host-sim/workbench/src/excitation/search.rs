@@ -2,23 +2,24 @@
 
 mod speeds;
 
-use super::ExcitationError;
 use super::certificate::Certificate;
-use super::certify::{Provenance, certify};
+use super::certify::certify;
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
-use super::objective::{INSTANTS, Objective, PenaltyWeights, basis, descend};
+use super::objective::{INSTANTS, Objective, PenaltyWeights, SearchConfig, basis, descend};
 use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Bases, VARIABLES};
-use super::series::{Extremes, JointSeries, ORDER};
-use crate::dynamics::{Motion, PerJoint};
+use super::series::{Extremes, JointSeries};
+use super::{refused, unseen};
+use crate::Refusal;
+use crate::dynamics::PerJoint;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use speeds::{TORQUE_SHARES, torques};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::num::NonZeroUsize;
 
 /// Share of the limits that a search uses: motion between its instants takes 0.2 %.
@@ -42,64 +43,26 @@ const REPAIRS: usize = 4;
 const POOL: usize = 8;
 /// Least share of its tightest limit that a random series uses.
 const LEAST_SHARE: f64 = 0.4;
-/// Configuration of a search.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SearchConfig {
-    /// Period of the fundamental, s.
-    pub period_s: f64,
-    /// Objective.
-    pub criterion: Criterion,
-    /// Limit of the condition number under [`Criterion::Constrained`].
-    pub condition_limit: f64,
-    /// A result beyond that limit is none. Otherwise the best one counts where no start keeps it.
-    pub condition_required: bool,
-    /// Seed of the starts.
-    pub seed: u64,
-    /// Starts.
-    pub starts: usize,
-    /// Most iterations of a round for the finalists, one start in four; the rounds before are shorter.
-    pub iterations: usize,
-    /// Range of every joint around zero, rad, on top of the robot's own.
-    pub range_rad: f64,
-    /// Threads; the result does not depend on them. `None`: all cores.
-    pub threads: Option<NonZeroUsize>,
-}
-
-impl Default for SearchConfig {
-    fn default() -> Self {
-        Self {
-            period_s: 10.0,
-            criterion: Criterion::Constrained,
-            condition_limit: 60.0,
-            condition_required: true,
-            seed: 1,
-            starts: 24,
-            iterations: 240,
-            range_rad: PI,
-            threads: None,
-        }
-    }
-}
 
 /// The best excitation of all starts, with its certificate; all its limits hold.
 ///
 /// With `given`, that trajectory is the only start, and the result is never worse than it unless it misses a limit.
 /// `progress(done, all)` is called from this thread.
 ///
-/// Errors: [`ExcitationError`]: an empty range, no start that keeps all limits.
+/// Errors: an empty range, no start that keeps all limits.
 pub fn optimise(
     robot: &Robot,
     config: &SearchConfig,
     given: Option<&Excitation>,
     mut progress: impl FnMut(usize, usize),
-) -> Result<Excitation, ExcitationError> {
+) -> Result<Excitation, Refusal> {
     let mut search = Search::new(robot, config)?;
     if given.is_none() {
         search.adapt_speed()?;
     }
     let threads = config.threads.map_or_else(cores, NonZeroUsize::get);
     let starts = match given {
-        Some(excitation) => vec![search.variables(excitation)],
+        Some(excitation) => vec![search.variables(&excitation.joints)],
         None => search.starts(),
     };
     let finalists = starts.len().div_ceil(FINALIST_EVERY);
@@ -138,7 +101,7 @@ pub fn optimise(
         return found;
     }
     // No start keeps the condition number: the certificates are made anew without it.
-    search.origin.condition_limit = f64::INFINITY;
+    search.config.condition_limit = f64::INFINITY;
     let again = |excitation: Excitation| search.certified(excitation);
     let results: Vec<_> = results
         .into_iter()
@@ -150,27 +113,27 @@ pub fn optimise(
 /// One robot and one task, ready for any number of starts.
 struct Search<'a> {
     robot: &'a Robot,
-    config: &'a SearchConfig,
+    config: SearchConfig,
     objective: Objective,
     bases: Bases,
-    origin: Provenance,
+    /// Share of the joints' velocity and acceleration limits that is used.
+    speed_share: Vec<f64>,
     /// Required clearance plus a margin for the motion between the certificate's points, m.
     clearance: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
-    fn new(robot: &'a Robot, config: &'a SearchConfig) -> Result<Self, ExcitationError> {
+    fn new(robot: &'a Robot, config: &SearchConfig) -> Result<Self, Refusal> {
         let rows = Rows::new(robot, Frames::Dh);
         let limits = Extremes::of_limits(robot, config.range_rad, LIMIT_SHARE)?;
         let clearances = Clearances::new(robot);
         for index in 0..clearances.count() {
             let (largest_m, required_m) = (clearances.upper_bound(index), clearances.required);
             if largest_m < required_m {
-                return Err(ExcitationError::OutOfReach {
-                    of: clearances.name(index),
-                    largest_m,
-                    required_m,
-                });
+                let of = clearances.name(index);
+                return Err(refused(format!(
+                    "no path keeps all limits; in no pose is {of} clear by more than {largest_m:.3} m, asked for {required_m} m"
+                )));
             }
         }
         let fastest = PerJoint::from_fn(limits.len(), |j| limits[j].qd);
@@ -179,7 +142,7 @@ impl<'a> Search<'a> {
             .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
             .collect();
         let experiment = Experiment::new(robot, &rows);
-        let parameters = rows.parameters(robot).ok_or(ExcitationError::Unseen)?;
+        let parameters = rows.parameters(robot).ok_or_else(unseen)?;
         let bases = Bases::new();
         Ok(Self {
             objective: Objective {
@@ -194,15 +157,9 @@ impl<'a> Search<'a> {
                 rows,
             },
             robot,
-            config,
+            config: config.clone(),
             bases,
-            origin: Provenance {
-                criterion: config.criterion,
-                starts: config.starts,
-                condition_limit: config.condition_limit,
-                range_rad: config.range_rad,
-                speed_share: vec![1.0; robot.joint_count()],
-            },
+            speed_share: vec![1.0; robot.joint_count()],
             clearance,
         })
     }
@@ -226,9 +183,7 @@ impl<'a> Search<'a> {
         let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
-                let series = self.random_series(stream as u64);
-                let variables = series.iter().flat_map(|joint| self.bases.variables(joint));
-                let variables: Vec<f64> = variables.collect();
+                let variables = self.variables(&self.random_series(stream as u64));
                 let value = self.objective.value(&variables, &penalties, None);
                 (value, variables)
             })
@@ -239,9 +194,9 @@ impl<'a> Search<'a> {
         pool.into_iter().map(|(_, variables)| variables).collect()
     }
 
-    fn variables(&self, excitation: &Excitation) -> Vec<f64> {
+    fn variables(&self, joints: &[JointSeries]) -> Vec<f64> {
         let variables = |joint| self.bases.variables(joint);
-        excitation.joints.iter().flat_map(variables).collect()
+        joints.iter().flat_map(variables).collect()
     }
 
     fn penalties(&self, weight: f64, extra_clearance: f64) -> PenaltyWeights {
@@ -251,33 +206,25 @@ impl<'a> Search<'a> {
         }
     }
 
+    /// Rounds with growing weights of the penalties.
+    fn rounds(&self, weights: &[f64], iterations: usize, start: &[f64]) -> Vec<f64> {
+        weights.iter().fold(start.to_vec(), |variables, weight| {
+            let penalties = self.penalties(*weight, 0.0);
+            descend(&self.objective, &penalties, variables, iterations)
+        })
+    }
+
     /// The coarse rounds of a start: value and variables at their end.
     fn coarse_search(&self, start: &[f64]) -> (f64, Vec<f64>) {
-        let mut variables = start.to_vec();
-        for weight in COARSE_WEIGHTS {
-            let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
-            variables = descend(
-                &self.objective,
-                &self.penalties(weight, 0.0),
-                variables,
-                iterations,
-            );
-        }
+        let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
+        let variables = self.rounds(&COARSE_WEIGHTS, iterations, start);
         let last = self.penalties(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1], 0.0);
         (self.objective.value(&variables, &last, None), variables)
     }
 
     /// The final rounds and the certificate; repeated with larger weights while a limit is violated.
-    fn finish(&self, start: &[f64]) -> Result<Excitation, ExcitationError> {
-        let mut variables = start.to_vec();
-        for weight in FINAL_WEIGHTS {
-            variables = descend(
-                &self.objective,
-                &self.penalties(weight, 0.0),
-                variables,
-                self.config.iterations,
-            );
-        }
+    fn finish(&self, start: &[f64]) -> Result<Excitation, Refusal> {
+        let mut variables = self.rounds(&FINAL_WEIGHTS, self.config.iterations, start);
         let mut excitation = self.certified(self.fitted(&variables))?;
         let mut objective = None;
         for repair in 1..=REPAIRS {
@@ -310,18 +257,12 @@ impl<'a> Search<'a> {
             .zip(&self.objective.limits)
             .map(|(own, limits)| self.bases.series(own).fitted(&full(limits), omega, 10_000))
             .collect();
-        Excitation {
-            robot: self.robot.name.clone(),
-            period_s: self.config.period_s,
-            order: ORDER,
-            seed: self.config.seed,
-            joints,
-            certificate: None,
-        }
+        Excitation::of(self.robot, self.config.period_s, self.config.seed, joints)
     }
 
-    fn certified(&self, excitation: Excitation) -> Result<Excitation, ExcitationError> {
-        let certificate = certify(self.robot, &excitation, &self.objective, &self.origin)?;
+    fn certified(&self, excitation: Excitation) -> Result<Excitation, Refusal> {
+        let (config, share) = (&self.config, &self.speed_share);
+        let certificate = certify(self.robot, &excitation, &self.objective, config, share)?;
         Ok(Excitation {
             certificate: Some(Box::new(certificate)),
             ..excitation
@@ -329,47 +270,28 @@ impl<'a> Search<'a> {
     }
 
     /// The best result that holds; the first of equals.
-    fn best(
-        &self,
-        results: &[Result<Excitation, ExcitationError>],
-    ) -> Result<Excitation, ExcitationError> {
+    fn best(&self, results: &[Result<Excitation, Refusal>]) -> Result<Excitation, Refusal> {
         let score = |certificate: &Certificate| match self.config.criterion {
             Criterion::Condition => certificate.condition_number_dh,
             Criterion::DOptimal => certificate.ln_spread,
             Criterion::VOptimal | Criterion::Constrained => certificate.predicted_nrmse_percent,
         };
-        let mut best: Option<(f64, &Excitation)> = None;
-        let mut missed: Option<(f64, ExcitationError)> = None;
-        let mut refused = ExcitationError::Unseen;
-        for result in results {
-            let excitation = match result {
-                Ok(excitation) => excitation,
-                Err(error) => {
-                    refused = error.clone();
-                    continue;
-                }
-            };
-            let Some(certificate) = &excitation.certificate else {
-                continue;
-            };
-            if certificate.holds {
-                let score = score(certificate);
-                if best.as_ref().is_none_or(|(lowest, _)| score < *lowest) {
-                    best = Some((score, excitation));
-                }
-            } else if let Some(violation) = certificate.violation()
-                && missed
-                    .as_ref()
-                    .is_none_or(|(least, _)| violation.0 < *least)
-            {
-                missed = Some(violation);
-            }
+        let certified = results.iter().flatten();
+        let certified = certified.filter_map(|found| Some((found, found.certificate.as_deref()?)));
+        let (kept, missed): (Vec<_>, Vec<_>) =
+            certified.partition(|(_, certificate)| certificate.holds);
+        let best = kept.iter().min_by(|a, b| score(a.1).total_cmp(&score(b.1)));
+        if let Some((excitation, _)) = best {
+            return Ok((*excitation).clone());
         }
-        match (best, missed) {
-            (Some((_, excitation)), _) => Ok(excitation.clone()),
-            (None, Some((_, error))) => Err(error),
-            (None, None) => Err(refused),
-        }
+        let missed = missed.iter().filter_map(|(_, missed)| missed.violation());
+        let nearest = missed.min_by(|a, b| a.0.total_cmp(&b.0));
+        let nearest = nearest.map(|(_, refusal)| refusal);
+        let last = results
+            .iter()
+            .rev()
+            .find_map(|result| result.as_ref().err());
+        Err(nearest.or_else(|| last.cloned()).unwrap_or_else(unseen))
     }
 }
 

@@ -3,7 +3,8 @@
 //! Rest at t = 0, and so at the period's end, takes two coefficients of each joint: Σ a_l = 0 (velocity) and Σ l b_l = 0
 //! (acceleration). Of 11 a joint 9 remain: the offset, and 4 for each of a and b on orthonormal bases of what is left.
 
-use super::ExcitationError;
+use super::refused;
+use crate::Refusal;
 use crate::robot::Robot;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -37,12 +38,12 @@ impl Extremes {
     /// The limits of all joints, `share` of each. Ranges are no wider than ±`range_rad` about zero, or about the end of the
     /// range that is nearest to zero.
     ///
-    /// Errors: [`ExcitationError::Infeasible`] where the range is empty.
+    /// Errors: the range of a joint is empty.
     pub(super) fn of_limits(
         robot: &Robot,
         range_rad: f64,
         share: f64,
-    ) -> Result<Vec<Self>, ExcitationError> {
+    ) -> Result<Vec<Self>, Refusal> {
         let of_joint = |(index, joint): (usize, &crate::robot::Joint)| {
             let limits = &joint.limits;
             let (low, high) = limits.position;
@@ -51,7 +52,10 @@ impl Extremes {
             let (middle, half) = (0.5 * (low + high), 0.5 * (high - low) * share);
             // Not a number must be refused, too.
             if half.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {
-                return Err(ExcitationError::Infeasible { joint: index + 1 });
+                let joint = index + 1;
+                return Err(refused(format!(
+                    "limits of joint {joint} leave no room to move"
+                )));
             }
             Ok(Self {
                 q: (middle - half, middle + half),

@@ -18,7 +18,7 @@ const CERTAIN: f64 = 9.21;
 
 /// Sums that border one joint's equations by its sine and cosine, filtered as the equations were.
 #[derive(Clone, Debug, PartialEq)]
-struct Border {
+pub(super) struct Border {
     /// XᵀS.
     cross: DMatrix<f64>,
     /// SᵀS.
@@ -27,51 +27,39 @@ struct Border {
     moment: Vector2<f64>,
 }
 
-/// The borders of all joints' equations.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct CoggingSums {
-    joints: Vec<Border>,
-}
-
-impl CoggingSums {
-    /// Sums over no rows.
-    pub(super) fn new(layout: &Layout) -> Self {
-        let joints = layout.active.iter().map(|active| Border {
-            cross: DMatrix::zeros(active.len(), 2),
+impl Border {
+    /// Sums over no rows of so many active columns.
+    pub(super) fn new(active: usize) -> Self {
+        Self {
+            cross: DMatrix::zeros(active, 2),
             gram: Matrix2::zeros(),
             moment: Vector2::zeros(),
-        });
-        Self {
-            joints: joints.collect(),
         }
     }
 
-    /// Adds rows of one joint: `x` row after row, `basis` sine and cosine a row, `tau` one a row.
-    pub(super) fn add(&mut self, joint: usize, x: &[f64], basis: &[f64], tau: &[f64]) {
+    /// Adds rows: `x` row after row, `basis` sine and cosine a row, `tau` one a row.
+    pub(super) fn add(&mut self, x: &[f64], basis: &[f64], tau: &[f64]) {
         if tau.is_empty() {
             return;
         }
-        let border = &mut self.joints[joint];
-        let columns = DMatrixView::from_slice(x, border.cross.nrows(), tau.len());
+        let columns = DMatrixView::from_slice(x, self.cross.nrows(), tau.len());
         let basis = DMatrixView::from_slice(basis, 2, tau.len());
-        border.cross += columns * basis.transpose();
-        border.gram += basis * basis.transpose();
-        border.moment += basis * DVector::from_column_slice(tau);
+        self.cross += columns * basis.transpose();
+        self.gram += basis * basis.transpose();
+        self.moment += basis * DVector::from_column_slice(tau);
     }
 
-    /// Subtracts the torque of these amplitudes (N·m) from the equations of a joint.
-    pub(super) fn subtract(&self, joint: usize, amplitude: [f64; 2], sums: &mut JointSums) {
-        let (border, amplitude) = (&self.joints[joint], Vector2::from(amplitude));
-        sums.moment -= &border.cross * amplitude;
-        sums.power -=
-            2.0 * border.moment.dot(&amplitude) - amplitude.dot(&(border.gram * amplitude));
+    /// Subtracts the torque of these amplitudes (N·m) from the equations of the joint.
+    pub(super) fn subtract(&self, amplitude: [f64; 2], sums: &mut JointSums) {
+        let amplitude = Vector2::from(amplitude);
+        sums.moment -= &self.cross * amplitude;
+        sums.power -= 2.0 * self.moment.dot(&amplitude) - amplitude.dot(&(self.gram * amplitude));
     }
 
     /// Least-squares amplitudes for the residuals of `theta`, N·m; zero where noise of `sigma`, N·m, explains them.
-    pub(super) fn best(&self, joint: usize, theta: &DVector<f64>, sigma: f64) -> [f64; 2] {
-        let border = &self.joints[joint];
-        let left = border.moment - border.cross.tr_mul(theta);
-        let Some(inverse) = border.gram.try_inverse() else {
+    pub(super) fn best(&self, theta: &DVector<f64>, sigma: f64) -> [f64; 2] {
+        let left = self.moment - self.cross.tr_mul(theta);
+        let Some(inverse) = self.gram.try_inverse() else {
             return [0.0; 2];
         };
         let amplitude = inverse * left;

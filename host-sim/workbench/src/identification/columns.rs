@@ -1,6 +1,6 @@
 //! Columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
 
-use super::UnknownName;
+use crate::Refusal;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use foretorque::dynamics::{COGGING_COLUMNS, FrictionColumn, FrictionPoint};
@@ -79,10 +79,10 @@ fn sets() -> Vec<(&'static str, Vec<FrictionTerm>)> {
 }
 
 impl FromStr for ColumnSet {
-    type Err = UnknownName;
+    type Err = Refusal;
 
     /// `coulomb-viscous`, and any of the other words after it, joined by `+`; or `full` for all of them.
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
+    fn from_str(text: &str) -> Result<Self, Refusal> {
         let mut set = Self::plain();
         for word in text.split('+').map(str::trim) {
             let known = sets().into_iter();
@@ -90,7 +90,10 @@ impl FromStr for ColumnSet {
             let found: Vec<FrictionTerm> = known.flat_map(|(_, terms)| terms).collect();
             if found.is_empty() {
                 let names: Vec<&str> = sets().iter().map(|(name, _)| *name).collect();
-                return Err(UnknownName::Columns(word.to_owned(), names.join(", ")));
+                let names = names.join(", ");
+                return Err(Refusal(format!(
+                    "unknown column set '{word}': join any of {names} by '+', or take full for all"
+                )));
             }
             for term in found {
                 if !set.0.contains(&term) {
@@ -137,6 +140,19 @@ pub struct Parameter {
     pub unit: &'static str,
     /// Friction term and joint, if it is one.
     pub friction: Option<(FrictionTerm, usize)>,
+}
+
+impl Parameter {
+    /// Viscous or Coulomb friction in a description; none of another parameter.
+    pub(super) fn plain_friction(&self, robot: &Robot) -> Option<f64> {
+        let (term, joint) = self.friction?;
+        let friction = &robot.joints[joint].friction;
+        match term {
+            Board(FrictionColumn::Viscous) => Some(friction.viscous),
+            Board(FrictionColumn::Coulomb) => Some(friction.coulomb),
+            _ => None,
+        }
+    }
 }
 
 /// Order of the parameters, and the columns of each joint's equation.

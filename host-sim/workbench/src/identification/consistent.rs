@@ -169,12 +169,9 @@ impl Cone {
         }
         let mut scalars: Vec<usize> = (rotors..full).collect();
         for (k, parameter) in layout.parameters.iter().skip(layout.base).enumerate() {
-            let friction = |joint: usize| &robot.joints[joint].friction;
-            let described = match parameter.friction {
-                Some((Board(FrictionColumn::Viscous), joint)) => friction(joint).viscous,
-                Some((Board(FrictionColumn::Coulomb), joint)) => friction(joint).coulomb,
-                // Peaks, offsets and cogging have no sign; load friction has one, but no value in the description.
-                _ => continue,
+            // Peaks, offsets and cogging have no sign; load friction has one, but no value in the description.
+            let Some(described) = parameter.plain_friction(robot) else {
+                continue;
             };
             scalars.push(full + k);
             centre[full + k] = described.max(LEAST);
@@ -269,17 +266,8 @@ fn unit(k: usize) -> Matrix4<f64> {
 
 /// The link with its second moments of mass raised to a least share of their sum.
 fn inside(link: &Link) -> Link {
-    let moments = link.second_moments();
-    let sum = moments.trace().max(LEAST * LEAST);
-    let mut eigen = moments.symmetric_eigen();
-    eigen
-        .eigenvalues
-        .apply(|value| *value = value.max(THINNEST * sum));
-    let moments = eigen.recompose();
-    Link {
-        inertia_com: moments.trace() * nalgebra::Matrix3::identity() - moments,
-        ..*link
-    }
+    let sum = link.second_moments().trace().max(LEAST * LEAST);
+    link.thickened(|_| THINNEST * sum)
 }
 
 /// The robot with links, rotors and friction from `z`; friction without a column is zero.

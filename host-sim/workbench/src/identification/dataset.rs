@@ -1,6 +1,6 @@
 //! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
-use super::cogging::{CoggingSums, SpeedSums};
+use super::cogging::{Border, SpeedSums};
 use super::columns::Layout;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
@@ -63,8 +63,8 @@ pub(super) struct RowSums {
     pub(super) all: NormalEquations,
     /// Sums over the same rows without spikes.
     pub(super) clean: NormalEquations,
-    /// Border of the clean sums by sine and cosine of cogging.
-    pub(super) cogging: CoggingSums,
+    /// Border of each joint's clean sums by sine and cosine of cogging.
+    pub(super) cogging: Vec<Border>,
     /// Number of rows.
     pub(super) rows: usize,
 }
@@ -72,10 +72,11 @@ pub(super) struct RowSums {
 impl RowSums {
     /// Sums over no rows.
     pub(super) fn new(layout: &Layout) -> Self {
+        let active = layout.active.iter();
         Self {
             all: NormalEquations::new(layout),
             clean: NormalEquations::new(layout),
-            cogging: CoggingSums::new(layout),
+            cogging: active.map(|active| Border::new(active.len())).collect(),
             rows: 0,
         }
     }
@@ -93,9 +94,47 @@ impl RowSums {
             }
             self.all.joints[joint].add(&x, &tau);
             self.clean.joints[joint].add(&x, &clean);
-            self.cogging.add(joint, &x, &basis, &clean);
+            self.cogging[joint].add(&x, &basis, &clean);
         }
         self.rows += rows.len();
+    }
+}
+
+/// An even sample of a stream of items, of `most` at most.
+#[derive(Clone, Debug)]
+pub(super) struct Thinned<T> {
+    /// The sample.
+    pub(super) kept: Vec<T>,
+    /// Every how many of the items it has.
+    pub(super) stride: usize,
+    seen: usize,
+    most: usize,
+}
+
+impl<T> Thinned<T> {
+    pub(super) fn new(most: usize) -> Self {
+        Self {
+            kept: Vec::new(),
+            stride: 1,
+            seen: 0,
+            most,
+        }
+    }
+
+    /// Adds an item. Those that stay are the ones that a doubled stride would have taken.
+    pub(super) fn push(&mut self, item: T) {
+        if self.seen.is_multiple_of(self.stride) {
+            self.kept.push(item);
+        }
+        self.seen += 1;
+        if self.kept.len() > self.most {
+            let mut place = 0;
+            self.kept.retain(|_| {
+                place += 1;
+                place % 2 == 1
+            });
+            self.stride *= 2;
+        }
     }
 }
 
@@ -108,10 +147,8 @@ const SAMPLE: usize = 60_000;
 pub(super) struct Dataset {
     /// Sums over filtered rows.
     pub(super) sums: RowSums,
-    /// Every `thinning`-th of the rows that went into the sums.
-    pub(super) sample: Vec<SampleRow>,
-    /// See `sample`.
-    pub(super) thinning: usize,
+    /// A sample of the rows that went into the sums.
+    pub(super) sample: Thinned<SampleRow>,
     /// Sums over raw torques by speed.
     pub(super) speeds: SpeedSums,
     /// Rows read, edges left out.
@@ -127,8 +164,7 @@ impl Dataset {
     pub(super) fn new(layout: &Layout) -> Self {
         Self {
             sums: RowSums::new(layout),
-            sample: Vec::new(),
-            thinning: 1,
+            sample: Thinned::new(SAMPLE),
             speeds: SpeedSums::new(layout.joints()),
             rows_read: 0,
             still: PerJoint::repeat(layout.joints(), 0),
@@ -150,22 +186,8 @@ impl Dataset {
         let rows: Vec<SampleRow> = rows
             .map(|row| SampleRow::of(layout, preparation, prepared, row))
             .collect();
-        let before = self.sums.rows;
         self.sums.add(layout, &rows.iter().collect::<Vec<_>>());
-        for (place, row) in (before..).zip(rows) {
-            if place.is_multiple_of(self.thinning) {
-                self.sample.push(row);
-            }
-            if self.sample.len() > SAMPLE {
-                // Even thinning: the rows that stay are those a doubled stride would have taken.
-                let mut position = 0;
-                self.sample.retain(|_| {
-                    position += 1;
-                    position % 2 == 1
-                });
-                self.thinning *= 2;
-            }
-        }
+        rows.into_iter().for_each(|row| self.sample.push(row));
     }
 }
 

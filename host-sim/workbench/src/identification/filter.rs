@@ -12,7 +12,8 @@ pub struct Butterworth {
     sections: [[f64; 5]; 2],
     /// Rows after which the impulse response has decayed below 1e-9 of its peak.
     pub settling_rows: usize,
-    cutoff_hz: f64,
+    /// Cut-off frequency, Hz.
+    pub cutoff_hz: f64,
 }
 
 impl Butterworth {
@@ -45,11 +46,6 @@ impl Butterworth {
             settling_rows: (1e-9_f64.ln() / radius.ln()).ceil() as usize,
             cutoff_hz,
         })
-    }
-
-    /// Cut-off frequency, Hz.
-    pub fn cutoff_hz(&self) -> f64 {
-        self.cutoff_hz
     }
 
     /// Filters every column of a table of `width` columns, row after row in `table`, in place.

@@ -3,12 +3,13 @@
 //! Everything between the harmonics of a periodic motion is noise: averaging and projection remove it without edges, and
 //! the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
 
-use super::IdentifyError;
 use super::cogging::SpeedSums;
 use super::columns::Layout;
 use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
 use super::prepare::{Preparation, PrepareConfig, Prepared, states};
+use super::{IdentifyError, refused};
+use crate::Refusal;
 use crate::robot::Robot;
 use crate::table::TableProblem;
 use std::f64::consts::TAU;
@@ -52,7 +53,8 @@ pub(super) fn folded(
     }
     let fold = fold.ok_or_else(|| TableProblem::Empty.at(path, None))?;
     if fold.count.contains(&0.0) {
-        return Err(IdentifyError::ShortLog(path.to_owned(), period_s));
+        let problem = format!("the log does not show a whole period of {period_s} s");
+        return Err(refused(path, problem));
     }
     let phases = fold.count.len();
     let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
@@ -96,10 +98,11 @@ impl Fold {
         }
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
-            return Err(IdentifyError::PeriodOfRows(
-                path.to_owned(),
-                period_s,
-                row_s,
+            return Err(refused(
+                path,
+                format!(
+                    "a period of {period_s} s is no whole number of rows, which are {row_s:.6} s apart"
+                ),
             ));
         }
         let (phases, joints) = (phases as usize, first[0].q.len());
@@ -130,8 +133,11 @@ impl Fold {
         for (k, row) in rows.iter().enumerate() {
             let place = (row.t_s - self.start_s) / self.row_s;
             if (place - place.round()).abs() > UNEVEN {
-                let (path, line, t_s) = (path.to_owned(), row.line, row.t_s);
-                return Err(IdentifyError::UnevenRow(path, line, t_s, self.row_s));
+                let (name, line, t_s) = (path.display(), row.line, row.t_s);
+                return Err(IdentifyError::Refused(Refusal(format!(
+                    "{name}:{line}: column t_s: {t_s} is off the even spacing of {:.6} s that folding needs",
+                    self.row_s
+                ))));
             }
             let phase = place.round() as usize % self.count.len();
             self.count[phase] += 1.0;
@@ -163,7 +169,6 @@ impl Fold {
         let series = Harmonics::of(&self.q, joints, harmonics);
         let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
         Prepared {
-            index: 0,
             states: states(joints, [&q, &qd, &qdd]),
             panel: Vec::new(),
             cogging_basis: Vec::new(),

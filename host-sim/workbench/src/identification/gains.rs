@@ -1,8 +1,8 @@
 //! Drive gains from standstill: the motors hold the gravity torque.
 
-use super::IdentifyError;
 use super::log::LogReader;
 use super::record::GainRecord;
+use super::{IdentifyError, refused};
 use crate::dynamics::{PerJoint, RigidBodies};
 use crate::robot::Robot;
 use crate::table::TableError;
@@ -55,8 +55,8 @@ fn standstill_gains(
     let gain = PerJoint::from_fn(model.joints(), |joint| robot.joints[joint].drive.gain);
     for path in logs {
         let mut reader = LogReader::open(path, robot)?;
-        if !reader.has_currents() {
-            return Err(IdentifyError::NoCurrents(path.clone()));
+        if !reader.has_currents {
+            return Err(refused(path, "no motor currents to find drive gains from"));
         }
         for_each_stand(&mut reader, &gain, still_rad_s, |stand| {
             let mean = |sum: PerJoint<f64>| sum.map(|sum| sum / stand.rows);

@@ -10,11 +10,12 @@ use super::judge::{Judgement, after_fit};
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, Problem, Progress, TrainingData};
-use super::record::{RIVALS, Report};
+use super::record::{RIVALS, Report, Unseen};
 use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::study::truths;
-use super::study::{Study, Unseen, key_of, recommended};
+use super::study::{Study, key_of, recommended};
+use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
@@ -147,8 +148,6 @@ pub fn identify(
         }
     }
     if let Some(fit) = study.results.iter().find_map(|result| result.fit.as_ref()) {
-        let whole = fit.theta.len() == layout.parameters.len();
-        let fit = if whole { fit } else { &study.bound };
         after_fit(&mut judgement, &robot, &layout, fit);
     }
     let first = validate.first().map(|path| key_of(path, validate));
@@ -250,13 +249,13 @@ fn gather(
     }
     if dataset.sums.all.count() == 0.0 {
         let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
-        return Err(IdentifyError::NoMotion(names.join(", ")));
+        return Err(Refusal::of(names.join(", "), "no joint moves").into());
     }
     dataset.sums.all.check_rank(layout)?;
-    if dataset.thinning > 1 {
+    if dataset.sample.stride > 1 {
         notes.push(format!(
             "irls, consistent, bp_black_box and bp_residual used every {}th of the rows in the sums; the other methods all of them",
-            dataset.thinning
+            dataset.sample.stride
         ));
     }
     Ok(dataset)

@@ -1,6 +1,6 @@
 //! Logs: the project's own columns, or foreign ones through the map of the robot description.
 
-use super::log_search::{is_there, joint_places, no_columns};
+use super::log_search::{has, is_there, joint_places, no_columns};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
 use crate::table::{Rows, TableError, TableProblem};
@@ -30,19 +30,22 @@ pub(super) struct LogReader {
     time: (usize, f64),
     q: Columns,
     qd: Option<Columns>,
-    qdd: Option<Columns>,
+    pub(super) qdd: Option<Columns>,
     tau: Columns,
-    from_current: bool,
-    mapped: bool,
+    /// Torque is drive gain × motor current.
+    pub(super) has_currents: bool,
+    /// The columns were found through a map.
+    pub(super) is_mapped: bool,
     unwrap: Unwrap,
     /// Coupling of an arm whose log has motions, and with `true` torques, of its joints.
     coupling: Option<(Coupling, bool)>,
-    notes: Vec<String>,
+    /// Remarks on the columns.
+    pub(super) notes: Vec<String>,
 }
 
 /// Columns of one quantity, and the value in SI of one unit of each.
 #[derive(Clone, Copy)]
-struct Columns {
+pub(super) struct Columns {
     places: PerJoint<usize>,
     scale: PerJoint<f64>,
 }
@@ -83,8 +86,7 @@ impl LogReader {
         let given = robot.log_columns.clone().unwrap_or_default();
         let rows = Rows::named(path, &given.names)?;
         let own = ["q1_rad", "q2_rad", "tau1_nm", "i1_a"];
-        let own =
-            given.source.is_none() && own.iter().any(|name| !matches!(rows.find(name), Ok(None)));
+        let own = given.source.is_none() && own.iter().any(|name| has(&rows, name));
         let mut notes = rows.notes().to_vec();
         let named = |map: &LogColumns| match &map.q_rad {
             Some(q) => is_there(&rows, q, robot),
@@ -112,9 +114,9 @@ impl LogReader {
             (map, true)
         };
         let missing = |column: &str| TableProblem::MissingColumn(column.to_owned()).at(path, 1);
-        let own_units = map.all_units.clone().unwrap_or_default().scale();
+        let own_units = map.all_units.clone().unwrap_or_default().scale;
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
-        let map_units = map_units.cloned().unwrap_or_default().scale();
+        let map_units = map_units.cloned().unwrap_or_default().scale;
         let time = match (rows.find("t_s")?, &map.t_s) {
             (Some(place), _) => (place, own_units[0]),
             (None, Some(name)) => (rows.require(name)?, map_units[0]),
@@ -150,14 +152,10 @@ impl LogReader {
                 })?,
             };
         }
-        if let (Some(true), Some(names)) = (
-            map.q_rad.as_ref().map(|q| q.around_name().is_some()),
-            &map.q_rad,
-        ) && mapped
-            && names
-                .of(0, &robot.joints[0].name)
-                .is_some_and(|own| matches!(rows.find(&own), Ok(None)))
-        {
+        let by_name = map.q_rad.as_ref();
+        let by_name = by_name.filter(|names| mapped && names.around_name().is_some());
+        let first = by_name.and_then(|names| names.of(0, &robot.joints[0].name));
+        if first.is_some_and(|first| !has(&rows, &first)) {
             notes.push(format!(
                 "{}: joint {} of the description is {} there, and so on",
                 path.display(),
@@ -171,8 +169,8 @@ impl LogReader {
             qd,
             qdd,
             tau,
-            from_current: effort == EffortKind::Current,
-            mapped,
+            has_currents: effort == EffortKind::Current,
+            is_mapped: mapped,
             coupling: (robot.coupling.clone().filter(|_| map.of_joints))
                 .map(|coupling| (coupling, effort == EffortKind::Torque)),
             unwrap: Unwrap {
@@ -192,26 +190,6 @@ impl LogReader {
     /// The log has velocities.
     pub(super) fn has_velocity(&self) -> bool {
         self.qd.is_some()
-    }
-
-    /// The log has accelerations.
-    pub(super) fn has_acceleration(&self) -> bool {
-        self.qdd.is_some()
-    }
-
-    /// Torque is drive gain × motor current.
-    pub(super) fn has_currents(&self) -> bool {
-        self.from_current
-    }
-
-    /// The columns were found through a map.
-    pub(super) fn is_mapped(&self) -> bool {
-        self.mapped
-    }
-
-    /// Remarks on the columns.
-    pub(super) fn notes(&self) -> &[String] {
-        &self.notes
     }
 
     /// Remark on the joints whose angles were wrapped so far.
@@ -351,27 +329,5 @@ impl Unwrap {
             *q += self.offset[joint];
         }
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn angles_continue_where_a_joint_is_continuous_only() {
-        let mut unwrap = Unwrap {
-            continuous: [true, false].into(),
-            last: None,
-            offset: PerJoint::repeat(2, 0.0),
-            count: PerJoint::repeat(2, 0),
-        };
-        for (wrapped, whole) in [(3.1, 3.1), (-3.1, TAU - 3.1), (3.0, 3.0)] {
-            let mut q = [wrapped, 0.5].into();
-            unwrap.take(&mut q).expect("continuous");
-            assert!((q[0] - whole).abs() < 1e-12);
-        }
-        assert_eq!(*unwrap.count, [2, 0]);
-        assert!(unwrap.take(&mut [3.0, 6.5].into()).is_err());
     }
 }

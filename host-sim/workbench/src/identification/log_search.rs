@@ -4,11 +4,15 @@ use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
 use crate::table::{Rows, TableError, TableProblem};
 
+/// The log has a column of that name, or several.
+pub(super) fn has(rows: &Rows, name: &str) -> bool {
+    !matches!(rows.find(name), Ok(None))
+}
+
 /// The log has the column of the first joint.
 pub(super) fn is_there(rows: &Rows, names: &ColumnNames, robot: &Robot) -> bool {
     let first = names.of(0, &robot.joints[0].name);
-    first.is_some_and(|first| !matches!(rows.find(&first), Ok(None)))
-        || !joints_of_log(rows, names).is_empty()
+    first.is_some_and(|first| has(rows, &first)) || !joints_of_log(rows, names).is_empty()
 }
 
 /// Names of the joints in a log whose columns carry them.
@@ -52,12 +56,12 @@ pub(super) fn joint_places(
     let joint_name = |joint: usize| robot.joints.get(joint).map_or("", |own| own.name.as_str());
     let own = |joint: usize| Some(format!("{name}{}_{unit}", joint + 1));
     let foreign = |joint: usize| mapped?.of(joint, joint_name(joint));
-    let has = |name: &dyn Fn(usize) -> Option<String>| {
+    let any = |name: &dyn Fn(usize) -> Option<String>| {
         let mut names = (0..=joints).filter_map(name);
-        names.any(|name| !matches!(rows.find(&name), Ok(None)))
+        names.any(|name| has(rows, &name))
     };
-    let is_own = has(&own);
-    let chosen: &dyn Fn(usize) -> Option<String> = match (is_own, has(&foreign)) {
+    let is_own = any(&own);
+    let chosen: &dyn Fn(usize) -> Option<String> = match (is_own, any(&foreign)) {
         (true, _) => &own,
         (false, true) => &foreign,
         (false, false) => return renamed(rows, mapped, robot).map(|found| Some((found?, false))),

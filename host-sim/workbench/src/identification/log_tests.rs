@@ -42,8 +42,8 @@ fn read(path: &std::path::Path, robot: &Robot) -> Result<(Vec<LogRow>, String), 
     while let Some(row) = log.next_row().map_err(plain)? {
         rows.push(row);
     }
-    let mut notes: Vec<String> = log.notes().collect();
-    notes.extend(log.reader().wraps());
+    let mut notes = log.notes.clone();
+    notes.extend(log.reader.wraps());
     Ok((rows, notes.join("\n")))
 }
 

@@ -1,11 +1,12 @@
 //! Least squares: plain, weighted by joint, robust.
 
-use super::UnknownName;
 use super::columns::Layout;
 use super::dataset::SampleRow;
 use super::filter::median;
 use super::normal::{JointSums, NormalEquations, solve};
+use crate::Refusal;
 use crate::dynamics::PerJoint;
+use crate::parallel::in_parallel;
 use nalgebra::{DMatrix, DVector};
 use std::fmt;
 use std::str::FromStr;
@@ -51,15 +52,13 @@ impl fmt::Display for MethodName {
 }
 
 impl FromStr for MethodName {
-    type Err = UnknownName;
+    type Err = Refusal;
 
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
+    fn from_str(text: &str) -> Result<Self, Refusal> {
         let known = METHODS.iter().find(|(_, name)| *name == text);
         let names = METHODS.map(|(_, name)| name).join(", ");
-        known.map_or_else(
-            || Err(UnknownName::Method(text.to_owned(), names)),
-            |(method, _)| Ok(*method),
-        )
+        let unknown = || Refusal(format!("unknown method '{text}': one of {names}"));
+        known.map(|(method, _)| *method).ok_or_else(unknown)
     }
 }
 
@@ -121,22 +120,12 @@ pub(super) fn wls(sums: &NormalEquations, layout: &Layout) -> Option<Fit> {
 /// Huber's estimate over a sample of rows, from the weighted fit of the sums without spikes.
 pub(super) fn irls(clean: &NormalEquations, sample: &[&SampleRow], layout: &Layout) -> Option<Fit> {
     let mut fit = wls(clean, layout)?;
+    let places: Vec<usize> = (0..layout.joints()).collect();
     for _ in 0..IRLS_ROUNDS {
         let theta = &fit.theta;
-        let rounds: Vec<(JointSums, f64)> = std::thread::scope(|scope| {
-            let joints: Vec<_> = (0..layout.joints())
-                .map(|joint| scope.spawn(move || reweighted(joint, sample, layout, theta)))
-                .collect();
-            // The panic of a thread is reported already.
-            joints
-                .into_iter()
-                .filter_map(|joint| joint.join().ok())
-                .collect()
-        });
+        let own = |joint: &usize| reweighted(*joint, sample, layout, theta);
+        let rounds = in_parallel(places.len(), &places, own, || ());
         let (joints, sigma): (Vec<JointSums>, Vec<f64>) = rounds.into_iter().unzip();
-        if joints.len() < layout.joints() {
-            return None;
-        }
         let (sigma, sums) = (PerJoint::from(&*sigma), NormalEquations { joints });
         let (mut gram, moment) = sums.weighted(layout, &sigma);
         layout.add_prior(&mut gram);

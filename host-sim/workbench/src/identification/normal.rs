@@ -7,6 +7,7 @@
 use super::IdentifyError;
 use super::columns::Layout;
 use crate::dynamics::PerJoint;
+use crate::metrics::condition_of;
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
 /// Least part of a column that the columns left of it do not explain, as a share of its length. Useful excitations leave
@@ -150,13 +151,8 @@ impl NormalEquations {
     pub(super) fn condition_numbers(&self, layout: &Layout) -> (f64, f64) {
         let (gram, _) = self.weighted(layout, &vec![1.0; self.joints.len()]);
         let raw = gram.view((0, 0), (layout.base, layout.base)).into_owned();
-        (condition(raw), condition(equilibrated(&gram).0))
+        (condition_of(&raw), condition_of(&equilibrated(&gram).0))
     }
-}
-
-fn condition(gram: DMatrix<f64>) -> f64 {
-    let values = gram.symmetric_eigenvalues();
-    (values.max() / values.min().max(f64::MIN_POSITIVE)).sqrt()
 }
 
 /// The matrix with a unit diagonal, and the reciprocal column lengths that make it so.

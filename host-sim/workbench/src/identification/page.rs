@@ -2,6 +2,7 @@
 
 use super::record::Report;
 use crate::dynamics::PerJoint;
+use crate::metrics::root_mean_square;
 use crate::report::page::{Page, Section, or_dash};
 use crate::report::plot::{Curve, Panel, PlotColor};
 
@@ -77,11 +78,6 @@ fn findings_section(report: &Report) -> Option<Section> {
 }
 
 fn methods_section(report: &Report) -> Section {
-    let root_mean_square = |values: &[Option<f64>]| {
-        let known: Vec<f64> = values.iter().flatten().copied().collect();
-        let squares: f64 = known.iter().map(|value| value * value).sum();
-        (squares / known.len().max(1) as f64).sqrt()
-    };
     let rows = report.methods.iter().map(|(name, method)| {
         let unseen = method.validation.values();
         let worst = unseen
@@ -132,19 +128,13 @@ fn file_section(report: &Report, file: &str) -> Section {
         Some(row)
     });
     let floor = report.data_check.iter().map(|check| {
-        let mut row = vec![
-            "noise of the training logs alone".to_owned(),
-            String::new(),
-            String::new(),
-        ];
-        row.extend(
-            check
-                .joints
-                .iter()
-                .map(|joint| format!("{:.3}", joint.noise_floor_nm)),
-        );
-        row.push(String::new());
-        row
+        let name = ["noise of the training logs alone", "", ""].map(str::to_owned);
+        let floors = check.joints.iter().map(|joint| joint.noise_floor_nm);
+        let floors = floors.map(|floor| format!("{floor:.3}"));
+        name.into_iter()
+            .chain(floors)
+            .chain([String::new()])
+            .collect()
     });
     let rows = rows.chain(floor);
     Section::new(

@@ -1,11 +1,11 @@
 //! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
 
-use super::IdentifyError;
 use super::cogging::SpeedSums;
 use super::columns::Layout;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
 use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::{IdentifyError, refused};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use nalgebra::DMatrix;
@@ -46,14 +46,24 @@ pub fn longest_period_s(logs: &[&Path], robot: &Robot) -> Result<f64, IdentifyEr
 impl PrepareConfig {
     /// Check that the rows of a log are near enough for the filters.
     ///
-    /// Errors: the log's; [`IdentifyError::CutOff`].
+    /// Errors: the log's; its rows are too far apart.
     pub(super) fn check(&self, path: &Path, robot: &Robot) -> Result<(), IdentifyError> {
         let period_s = WholeLog::open(path, robot)?.period_s();
         let torque = self.torque_hz.map(|hz| ("--torque-hz", hz));
         for (option, hz) in [("--motion-hz", self.motion_hz)].into_iter().chain(torque) {
             if Butterworth::new(hz, period_s).is_none() {
-                let (path, rate_hz) = (path.to_owned(), 1.0 / period_s);
-                return Err(IdentifyError::CutOff(path, option, hz, rate_hz));
+                let (rate_hz, share) = (1.0 / period_s, Butterworth::RATE_SHARE);
+                let hint = match rate_hz < 5.0 {
+                    true => ": are its times in ms (--units t=ms)?",
+                    false => "",
+                };
+                return Err(refused(
+                    path,
+                    format!(
+                        "{option} is {hz}, must be below {:.4}, {share} of its {rate_hz:.4} rows a second{hint}",
+                        share * rate_hz
+                    ),
+                ));
             }
         }
         Ok(())
@@ -104,21 +114,21 @@ impl Preparation {
         path: &Path,
         notes: &mut Vec<String>,
     ) -> Self {
-        let (reader, period_s, name) = (log.reader(), log.period_s(), path.display());
-        notes.extend(log.notes());
-        if reader.has_currents() {
+        let (reader, period_s, name) = (&log.reader, log.period_s(), path.display());
+        notes.extend_from_slice(&log.notes);
+        if reader.has_currents {
             notes.push(format!("{name}: torque is drive gain × motor current"));
         }
         // Up to the first gap: derivatives across it would be wrong.
         let whole = |a: &LogRow, b: &LogRow| b.t_s - a.t_s <= GAP_PERIODS * period_s;
-        let preview = log.preview().chunk_by(whole).next().unwrap_or_default();
+        let preview = log.preview.chunk_by(whole).next().unwrap_or_default();
         let start_s = preview.first().map_or(0.0, |row| row.t_s);
         let at = |logged| Self::new(config, start_s, period_s, logged);
         let edge = at([false; 2]).edge().min(preview.len() / 3);
         let mut logged = [false; 2];
         let kinds = [
             (reader.has_velocity(), "velocities"),
-            (reader.has_acceleration(), "accelerations"),
+            (reader.qdd.is_some(), "accelerations"),
         ];
         for (order, (there, kind)) in kinds.into_iter().enumerate() {
             if !there {
@@ -129,7 +139,7 @@ impl Preparation {
             }
             // Mapped columns are measurements. The project's own may be set-points beside measured positions, and their
             // filter is unknown: derivatives of frequent positions share the known filter of the torque.
-            if !reader.is_mapped() && MOTION_ROWS * config.motion_hz * period_s <= 1.0 {
+            if !reader.is_mapped && MOTION_ROWS * config.motion_hz * period_s <= 1.0 {
                 notes.push(format!(
                     "{name}: {kind} derived from the positions, which come every {:.1} ms; the log's own have another filter",
                     1e3 * period_s
@@ -148,7 +158,7 @@ impl Preparation {
                 size += derived.iter().map(|value| value * value).sum::<f64>();
             }
             let apart = (error / f64::max(size, f64::MIN_POSITIVE)).sqrt();
-            logged[order] = reader.is_mapped() || apart <= TRUST[order];
+            logged[order] = reader.is_mapped || apart <= TRUST[order];
             if !logged[order] {
                 notes.push(format!(
                     "{name}: logged {kind} are {:.1} % of their RMS off the derivative of the positions, taken for set-points; derived instead",
@@ -173,7 +183,7 @@ impl Preparation {
     pub(super) fn edge(&self) -> usize {
         let derived = self.logged != [true; 2];
         let periods = |filter: &Option<Butterworth>, periods: f64| {
-            let rows = |filter: &Butterworth| periods / (filter.cutoff_hz() * self.period_s);
+            let rows = |filter: &Butterworth| periods / (filter.cutoff_hz * self.period_s);
             filter
                 .as_ref()
                 .map_or(0, |filter| rows(filter).ceil() as usize)
@@ -191,14 +201,14 @@ impl Preparation {
             return stride;
         }
         self.torque.as_ref().map_or(1, |filter| {
-            let rate_hz = 2.0 * 0.898 * filter.cutoff_hz();
+            let rate_hz = 2.0 * 0.898 * filter.cutoff_hz;
             ((1.0 / (rate_hz * self.period_s)).round() as usize).max(1)
         })
     }
 
     /// Noise of a filtered torque over that of its rows, white noise assumed; see [`stride`](Self::stride).
     pub(super) fn noise_gain(&self) -> f64 {
-        let band = |filter: &Butterworth| (2.0 * 0.898 * filter.cutoff_hz() * self.period_s).sqrt();
+        let band = |filter: &Butterworth| (2.0 * 0.898 * filter.cutoff_hz * self.period_s).sqrt();
         self.torque
             .as_ref()
             .map_or(1.0, |filter| band(filter).min(1.0))
@@ -249,8 +259,6 @@ pub(super) fn states(joints: usize, tables: [&[f64]; 3]) -> Vec<Motion> {
 /// A stretch of a log, with the rows around it that its filters need.
 #[derive(Clone, Debug)]
 pub struct Stretch {
-    /// Number of the stretch, over all logs.
-    pub index: usize,
     /// Rows, margins included.
     pub rows: Vec<LogRow>,
     /// The rows that count.
@@ -260,8 +268,6 @@ pub struct Stretch {
 /// Rows of the linear model from a stretch.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// Number of the stretch.
-    pub index: usize,
     /// Motion of all its rows, margins included.
     pub states: Vec<Motion>,
     /// Active columns of all joints, row after row, filtered.
@@ -292,7 +298,6 @@ impl Prepared {
             .collect();
         let (clean, spikes) = despiked(&tau, layout.joints(), preparation.spike_reach());
         let raw = Self {
-            index: stretch.index,
             states: preparation.motion(&stretch.rows),
             panel: Vec::new(),
             cogging_basis: Vec::new(),

@@ -45,7 +45,7 @@ impl<'a> TrainingData<'a> {
     pub(super) fn all(dataset: &'a Dataset) -> Self {
         Self {
             sums: dataset.sums.clone(),
-            sample: dataset.sample.iter().collect(),
+            sample: dataset.sample.kept.iter().collect(),
             speeds: dataset.speeds.clone(),
         }
     }

@@ -197,15 +197,22 @@ pub struct Report {
     pub data_check: Option<Judgement>,
 }
 
+/// Unseen logs that choose the method, and those that choose nothing.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unseen {
+    Validation,
+    Test,
+}
+
 /// Names of the rivals in the table of methods.
 pub(super) const RIVALS: [&str; 2] = ["description", "zero"];
 
 impl MethodRecord {
-    /// Records of the logs that choose the method, or of those that choose nothing.
-    pub(super) fn unseen(&mut self, test: bool) -> &mut BTreeMap<String, ValidationRecord> {
-        match test {
-            true => &mut self.test,
-            false => &mut self.validation,
+    /// Records of unseen logs.
+    pub(super) fn unseen(&mut self, kind: Unseen) -> &mut BTreeMap<String, ValidationRecord> {
+        match kind {
+            Unseen::Validation => &mut self.validation,
+            Unseen::Test => &mut self.test,
         }
     }
 

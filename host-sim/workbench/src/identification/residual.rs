@@ -6,8 +6,9 @@ use super::columns::Layout;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::NormalEquations;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
+use crate::Refusal;
 use crate::dynamics::PerJoint;
-use crate::training::{ResidualConfig, train_residual};
+use crate::training::train_residual;
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
@@ -59,7 +60,7 @@ pub(super) fn residual(
         .map(|epoch| losses.iter().map(|own| at(own, epoch)).sum::<f64>() / joints as f64)
         .collect();
     if networks.len() < joints {
-        return Err(IdentifyError::Untrained);
+        return Err(Refusal("a network could not be trained".to_owned()).into());
     }
     let (fit, cogging) = linear;
     let alone = data.sums.clean.subset(problem.layout, problem.board);
@@ -120,13 +121,13 @@ fn fit(
         let mut rest = sums.clone();
         for (joint, amplitude) in cogging.iter().enumerate() {
             let sums = &mut rest.joints[joint];
-            data.sums.cogging.subtract(joint, *amplitude, sums);
+            data.sums.cogging[joint].subtract(*amplitude, sums);
         }
         let found = wls(&rest.subset(layout, board), board).ok_or(IdentifyError::Unsolvable)?;
         let found = widened(&found, layout, board);
         for (joint, amplitude) in cogging.iter_mut().enumerate() {
             let own = found.theta.select_rows(&layout.active[joint]);
-            *amplitude = data.sums.cogging.best(joint, &own, found.sigma[joint]);
+            *amplitude = data.sums.cogging[joint].best(&own, found.sigma[joint]);
         }
         fit = Some(found);
     }
@@ -148,12 +149,8 @@ fn train(
             data.speeds
                 .residuals(layout, &fit.theta, cogging[joint], place, limits[joint])
         });
-        let config = ResidualConfig {
-            seed: problem.seed,
-            ..ResidualConfig::default()
-        };
         let fastest = problem.robot.joints[joint].limits.velocity;
-        train_residual(&halves, fastest, &config, &mut |step, loss| {
+        train_residual(&halves, fastest, problem.seed, &mut |step, loss| {
             // The receiver is gone only when the command already fails.
             let _ = sender.send((joint, step, loss));
         })

@@ -4,12 +4,10 @@ use super::columns::Layout;
 use super::log::LogRow;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch};
 use super::whole_log::{GAP_PERIODS, WholeLog};
-use crate::parallel::cores;
+use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use crate::table::TableError;
-use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Mutex;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
 /// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
@@ -31,35 +29,18 @@ pub fn for_each_prepared(
 ) -> Result<Preparation, TableError> {
     let mut log = WholeLog::open(path, robot)?;
     let preparation = Preparation::of_log(&log, config, path, notes);
-    let workers = cores();
-    let (to_workers, stretches) = sync_channel::<Stretch>(workers);
-    let stretches = Mutex::new(stretches);
-    let (finished, results) = sync_channel::<Prepared>(workers);
+    let (workers, cut) = (cores(), &preparation);
     std::thread::scope(|scope| {
-        for _ in 0..workers {
-            let finished = finished.clone();
-            let (stretches, preparation) = (&stretches, &preparation);
-            scope.spawn(move || {
-                // A poisoned lock means another worker has panicked; the scope reports that.
-                let next = || stretches.lock().ok()?.recv().ok();
-                while let Some(stretch) = next() {
-                    let prepared = Prepared::new(&stretch, preparation, layout);
-                    if finished.send(prepared).is_err() {
-                        return;
-                    }
-                }
-            });
-        }
-        drop(finished);
-        let cut = &preparation;
+        let (to_workers, stretches) = sync_channel::<Stretch>(workers);
         let reading = scope.spawn(move || cut_into_stretches(&mut log, cut, path, &to_workers));
-        let mut waiting = BTreeMap::new();
-        let mut next = 0;
-        for prepared in results {
-            waiting.insert(prepared.index, prepared);
-            while let Some(prepared) = waiting.remove(&next) {
-                take(&preparation, prepared);
-                next += 1;
+        loop {
+            let batch: Vec<Stretch> = stretches.iter().take(workers).collect();
+            if batch.is_empty() {
+                break;
+            }
+            let prepare = |stretch: &Stretch| Prepared::new(stretch, cut, layout);
+            for prepared in in_parallel(workers, &batch, prepare, || ()) {
+                take(cut, prepared);
             }
         }
         match reading.join() {
@@ -83,12 +64,9 @@ fn cut_into_stretches(
     // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
     let mut rows: Vec<LogRow> = Vec::new();
     let mut begin = edge;
-    let mut index = 0;
-    let mut send = |rows: Vec<LogRow>, core: std::ops::Range<usize>| {
-        let stretch = Stretch { index, rows, core };
-        index += 1;
+    let send = |rows: Vec<LogRow>, core: std::ops::Range<usize>| {
         // The receiver is gone only when a worker has panicked, which the scope reports.
-        let _ = to_workers.send(stretch);
+        let _ = to_workers.send(Stretch { rows, core });
     };
     loop {
         let row = log.next_row()?;
@@ -120,11 +98,11 @@ fn cut_into_stretches(
             None => break,
         }
     }
-    notes.extend(log.reader().wraps());
-    if log.lost() > 0 {
+    notes.extend(log.reader.wraps());
+    if log.lost > 0 {
         notes.push(format!(
             "{name}: {} rows are missing according to its clock and were interpolated",
-            log.lost()
+            log.lost
         ));
     }
     Ok(notes)

@@ -9,7 +9,7 @@ use super::judge::description;
 use super::methods::{Fit, MethodName, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
-use super::record::{MethodRecord, RIVALS, ValidationRecord, base_error};
+use super::record::{MethodRecord, RIVALS, Unseen, ValidationRecord, base_error};
 use super::stream::for_each_prepared;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, Trace};
@@ -21,12 +21,8 @@ use nalgebra::DVector;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Unseen logs that choose the method, and those that choose nothing.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Unseen {
-    Validation,
-    Test,
-}
+/// Name of the linear part of networks, while it competes with them.
+const LINEAR_PART: &str = "linear part";
 
 /// Records by name of the method.
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
@@ -48,7 +44,7 @@ impl Study<'_> {
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
-        let splits = split(&self.problem, &self.dataset.sample)?;
+        let splits = split(&self.problem, &self.dataset.sample.kept)?;
         let described = description(self.problem.robot, layout);
         let mut methods = Methods::new();
         for (result, split) in self.results.iter().zip(splits) {
@@ -69,7 +65,7 @@ impl Study<'_> {
             }
             methods.insert(result.name.to_string(), record);
         }
-        let sample: Vec<&SampleRow> = self.dataset.sample.iter().collect();
+        let sample: Vec<&SampleRow> = self.dataset.sample.kept.iter().collect();
         for (name, candidate) in RIVALS.iter().zip(self.rivals()) {
             let record = MethodRecord {
                 split_80_20: errors(layout, &candidate, &sample),
@@ -106,14 +102,14 @@ impl Study<'_> {
         let linear = fallback.and_then(|place| self.results[place].linear.clone());
         let linear = linear.map(|fit| (Candidate::Linear(fit.theta.clone()), fit));
         let rivals = self.rivals();
-        let results = self.results.iter().map(|result| &result.candidate);
-        let last = linear.iter().map(|(candidate, _)| candidate);
-        let candidates: Vec<&Candidate> = results.chain(&rivals).chain(last).collect();
-        let add = |methods: &mut Methods, name: &str, log: String, record| {
-            let method = methods.entry(name.to_owned()).or_default();
-            method.unseen(kind == Unseen::Test).insert(log, record);
-        };
-        let mut of_linear = BTreeMap::new();
+        let results = self.results.iter();
+        let results = results.map(|result| (result.name.to_string(), &result.candidate));
+        let rivals = RIVALS.iter().zip(&rivals);
+        let rivals = rivals.map(|(name, rival)| ((*name).to_owned(), rival));
+        let last = linear.iter();
+        let last = last.map(|(candidate, _)| (LINEAR_PART.to_owned(), candidate));
+        let (names, candidates): (Vec<String>, Vec<&Candidate>) =
+            results.chain(rivals).chain(last).unzip();
         let mut trace = Vec::new();
         for path in logs {
             (self.progress)(&format!("validating {}", path.display()));
@@ -122,30 +118,21 @@ impl Study<'_> {
                 scores.add(layout, own, &prepared, &candidates);
             })?;
             let limit = scores.propagated(layout, &self.bound.covariance);
-            if linear.is_some() {
-                let record = scores.record(candidates.len() - 1, self.problem.seed);
-                of_linear.insert(key_of(path, logs), record);
-            }
-            for (place, result) in self.results.iter().enumerate() {
+            for (place, name) in names.iter().enumerate() {
                 let mut record = scores.record(place, self.problem.seed);
-                record.cramer_rao_nrmse_moving_ratio = Some(limit);
-                let error = self.error(result);
-                record.truth_nrmse_moving_ratio =
-                    error.map(|error| scores.propagated(layout, &(&error * error.transpose())));
-                add(
-                    methods,
-                    &result.name.to_string(),
-                    key_of(path, logs),
-                    record,
-                );
-            }
-            for (place, name) in (self.results.len()..).zip(RIVALS) {
-                let record = scores.record(place, self.problem.seed);
-                add(methods, name, key_of(path, logs), record);
+                if let Some(result) = self.results.get(place) {
+                    let error = self.error(result);
+                    let error = error.map(|error| &error * error.transpose());
+                    record.cramer_rao_nrmse_moving_ratio = Some(limit);
+                    record.truth_nrmse_moving_ratio =
+                        error.map(|error| scores.propagated(layout, &error));
+                }
+                let method = methods.entry(name.clone()).or_default();
+                method.unseen(kind).insert(key_of(path, logs), record);
             }
             if trace.is_empty() && kind == Unseen::Validation {
                 (self.progress)("growing shares of the logs");
-                let sample = &self.dataset.sample;
+                let sample = &self.dataset.sample.kept;
                 for (name, curve) in learning_curves(&self.problem, sample, &scores.sample) {
                     if let Some(method) = methods.get_mut(&name.to_string()) {
                         method.learning_curve = curve;
@@ -154,6 +141,7 @@ impl Study<'_> {
                 trace = scores.trace;
             }
         }
+        let of_linear = methods.remove(LINEAR_PART).unwrap_or_default().validation;
         if let (Some(place), Some((candidate, fit))) = (fallback, linear) {
             let result = &mut self.results[place];
             let Some(method) = methods.get_mut(&result.name.to_string()) else {
@@ -209,8 +197,9 @@ impl Study<'_> {
             ..
         } = self.problem;
         let sums = self.dataset.sums.clean.subset(layout, board);
-        let honest =
-            |fit: Fit| with_block_deviations(fit, (&sums, board), (&self.dataset.sample, layout));
+        let honest = |fit: Fit| {
+            with_block_deviations(fit, (&sums, board), (&self.dataset.sample.kept, layout))
+        };
         if let (true, Some(fit)) = (complete, &result.fit) {
             return Ok(honest(fit.clone()));
         }
@@ -245,14 +234,10 @@ pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize 
             logs => errors.sum::<f64>() / logs as f64,
         }
     };
-    let mut best = (0, f64::INFINITY);
-    for (place, result) in results.iter().enumerate() {
-        let on_board = !matches!(result.candidate, Candidate::BlackBox(_));
-        if on_board && error(result) < best.1 {
-            best = (place, error(result));
-        }
-    }
-    best.0
+    let on_board = |place: &usize| !matches!(results[*place].candidate, Candidate::BlackBox(_));
+    let order = |a: &usize, b: &usize| error(&results[*a]).total_cmp(&error(&results[*b]));
+    let places = (0..results.len()).filter(on_board);
+    places.min_by(order).unwrap_or(0)
 }
 
 /// The file's name, or its path where two files share a name.
@@ -290,7 +275,7 @@ pub(super) fn truths(robot: &Robot, layout: &Layout) -> Vec<Option<f64>> {
 }
 
 /// Error of the base parameters by epoch of the accelerated layer; empty without a truth.
-pub(super) fn error_curve(
+fn error_curve(
     data: &TrainingData<'_>,
     layout: &Layout,
     reference: &Fit,

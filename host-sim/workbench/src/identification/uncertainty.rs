@@ -117,7 +117,7 @@ pub(super) fn with_block_deviations(
     (sums, layout): (&NormalEquations, &Layout),
     (sample, wide): (&[SampleRow], &Layout),
 ) -> Fit {
-    let mut theta = nalgebra::DVector::zeros(wide.parameters.len());
+    let mut theta = DVector::zeros(wide.parameters.len());
     for (value, place) in fit.theta.iter().zip(wide.places_of(layout)) {
         theta[place] = *value;
     }
@@ -130,25 +130,19 @@ pub(super) fn with_block_deviations(
     });
     let (mut gram, moment) = sums.weighted(layout, &sigma);
     layout.add_prior(&mut gram);
-    match solve(&gram, &moment) {
-        // A prior may have made the fit surer than its rows.
-        Some((_, covariance)) => {
-            let free = fit.covariance.diagonal();
-            let shares = free.zip_map(&covariance.diagonal(), |own, found| {
-                if found > 0.0 && own > found {
-                    own / found
-                } else {
-                    1.0
-                }
-            });
-            let scale = shares.map(f64::sqrt);
-            let covariance = nalgebra::DMatrix::from_fn(scale.len(), scale.len(), |r, c| {
-                covariance[(r, c)] * scale[r] * scale[c]
-            });
-            Fit { covariance, ..fit }
-        }
-        None => fit,
-    }
+    let Some((_, covariance)) = solve(&gram, &moment) else {
+        return fit;
+    };
+    // A prior may have made the fit surer than its rows.
+    let free = fit.covariance.diagonal();
+    let scale = free.zip_map(&covariance.diagonal(), |own, found| {
+        let surer = found > 0.0 && own > found;
+        if surer { (own / found).sqrt() } else { 1.0 }
+    });
+    let covariance = DMatrix::from_fn(scale.len(), scale.len(), |r, c| {
+        covariance[(r, c)] * scale[r] * scale[c]
+    });
+    Fit { covariance, ..fit }
 }
 
 #[cfg(test)]

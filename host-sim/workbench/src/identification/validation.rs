@@ -12,38 +12,10 @@ use super::record::{LearningPoint, SplitRecord, ValidationRecord};
 use super::solve::solve_all;
 use super::uncertainty::{middle, resample};
 use crate::dynamics::PerJoint;
-use crate::metrics::{root_mean, root_mean_square};
+use crate::metrics::{ErrorSums, nrmse, root_mean, root_mean_square};
 use nalgebra::DMatrix;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-
-/// Squared errors of every candidate, squared torques and number of rows, joint by joint.
-#[derive(Clone, Debug)]
-struct Sums {
-    errors: Vec<PerJoint<f64>>,
-    torque: PerJoint<f64>,
-    count: PerJoint<f64>,
-}
-
-impl Sums {
-    fn new(joints: usize, candidates: usize) -> Self {
-        let zero = PerJoint::repeat(joints, 0.0);
-        Self {
-            errors: vec![zero; candidates],
-            torque: zero,
-            count: zero,
-        }
-    }
-
-    /// Adds one row of `joint`: the torques of all candidates and the measured one.
-    fn add(&mut self, joint: usize, predicted: impl Iterator<Item = f64>, measured: f64) {
-        for (errors, predicted) in self.errors.iter_mut().zip(predicted) {
-            errors[joint] += (predicted - measured).powi(2);
-        }
-        self.torque[joint] += measured * measured;
-        self.count[joint] += 1.0;
-    }
-}
 
 /// Time, measured torque, and the torque that every candidate predicts, N·m.
 pub(super) type Trace = Vec<(f64, PerJoint<f64>, Vec<PerJoint<f64>>)>;
@@ -51,13 +23,14 @@ pub(super) type Trace = Vec<(f64, PerJoint<f64>, Vec<PerJoint<f64>>)>;
 /// Scores of several candidates on one log.
 #[derive(Clone, Debug)]
 pub(super) struct FileScores {
-    moving: Sums,
-    still: Sums,
+    /// Sums of every candidate over moving and still rows.
+    moving: Vec<PerJoint<ErrorSums>>,
+    still: Vec<PerJoint<ErrorSums>>,
     range: PerJoint<(f64, f64)>,
     /// Sums over the moving rows, for bounds.
     equations: NormalEquations,
     /// Seconds, and sums over the moving rows of each.
-    blocks: Vec<(f64, Sums)>,
+    blocks: Vec<(f64, Vec<PerJoint<ErrorSums>>)>,
     /// A thinned sample of its rows.
     pub(super) sample: Vec<SampleRow>,
     /// Torques in some of its rows, for the plot.
@@ -100,9 +73,10 @@ const TRACE: usize = 1500;
 impl FileScores {
     /// Scores over no rows.
     pub(super) fn new(layout: &Layout, candidates: usize) -> Self {
+        let none = vec![no_sums(layout.joints()); candidates];
         Self {
-            moving: Sums::new(layout.joints(), candidates),
-            still: Sums::new(layout.joints(), candidates),
+            moving: none.clone(),
+            still: none,
             range: PerJoint::repeat(layout.joints(), (f64::INFINITY, f64::NEG_INFINITY)),
             equations: NormalEquations::new(layout),
             blocks: Vec::new(),
@@ -129,19 +103,24 @@ impl FileScores {
         for row in prepared.core.clone() {
             let second = prepared.t_s[row].floor();
             if self.blocks.last().is_none_or(|(last, _)| *last != second) {
-                self.blocks
-                    .push((second, Sums::new(joints, predicted.len())));
+                let none = vec![no_sums(joints); predicted.len()];
+                self.blocks.push((second, none));
             }
             for (joint, (x, tau)) in equations.iter_mut().enumerate() {
-                let measured = prepared.tau[row * joints + joint];
-                let predicted = predicted.iter().map(|table| table[row * joints + joint]);
+                let place = row * joints + joint;
+                let measured = prepared.tau[place];
+                let add = |sums: &mut [PerJoint<ErrorSums>]| {
+                    for (sums, predicted) in sums.iter_mut().zip(&predicted) {
+                        sums[joint].add(measured, predicted[place]);
+                    }
+                };
                 if prepared.states[row].qd[joint].abs() <= preparation.still_rad_s {
-                    self.still.add(joint, predicted, measured);
+                    add(&mut self.still);
                     continue;
                 }
-                self.moving.add(joint, predicted.clone(), measured);
+                add(&mut self.moving);
                 if let Some((_, block)) = self.blocks.last_mut() {
-                    block.add(joint, predicted, measured);
+                    add(block);
                 }
                 let (low, high) = self.range[joint];
                 self.range[joint] = (low.min(measured), high.max(measured));
@@ -169,56 +148,35 @@ impl FileScores {
 
     /// Errors of one candidate, with 95 % intervals by bootstrap over seconds.
     pub(super) fn record(&self, candidate: usize, seed: u64) -> ValidationRecord {
-        let (moving, still) = (&self.moving, &self.still);
-        let (errors, errors_still) = (&moving.errors[candidate], &still.errors[candidate]);
+        let (moving, still) = (&self.moving[candidate], &self.still[candidate]);
         let count = self.range.len();
         let joints =
             |value: &dyn Fn(usize) -> Option<f64>| (0..count).map(value).collect::<Vec<_>>();
-        let root = |sum: f64, count: f64| (count > 0.0).then(|| (sum / count).sqrt());
-        let rmse = |j: usize| root(errors[j], moving.count[j]);
-        let torque = |j: usize| root(moving.torque[j], moving.count[j]);
-        let all = |j: usize| {
-            let (errors, count) = (
-                errors[j] + errors_still[j],
-                moving.count[j] + still.count[j],
-            );
-            root(errors, count)
-        };
+        let rmse = |j: usize| moving[j].rmse();
+        let torque = |j: usize| moving[j].torque_rms();
         let ratios = joints(&|j| Some(rmse(j)? / torque(j)?));
         let draws = resample(self.blocks.len().max(1), seed, |draw| {
-            let mut sums = Sums::new(count, 1);
+            let mut sums = no_sums(count);
             for &place in draw {
                 let (_, block) = self.blocks.get(place)?;
-                for joint in 0..count {
-                    sums.errors[0][joint] += block.errors[candidate][joint];
-                    sums.torque[joint] += block.torque[joint];
-                    sums.count[joint] += block.count[joint];
-                }
+                sums = PerJoint::from_fn(count, |j| sums[j].with(&block[candidate][j]));
             }
             Some(sums)
         });
-        let nrmse = draws.iter().map(|sums| {
-            let pairs = sums.errors[0].iter().zip(sums.torque.iter());
-            let pairs = pairs.filter(|(_, torque)| **torque > 0.0);
-            root_mean(pairs.map(|(error, torque)| error / torque))
-        });
-        let interval = |j: usize| {
-            let moved = draws.iter().filter(|sums| sums.count[j] > 0.0);
-            middle(moved.map(|sums| (sums.errors[0][j] / sums.count[j]).sqrt()))
-        };
+        let interval = |j: usize| middle(draws.iter().filter_map(|sums| sums[j].rmse()));
         ValidationRecord {
             rmse_moving_nm: joints(&rmse),
-            rmse_still_nm: joints(&|j| root(errors_still[j], still.count[j])),
-            rmse_all_nm: joints(&all),
+            rmse_still_nm: joints(&|j| still[j].rmse()),
+            rmse_all_nm: joints(&|j| moving[j].with(&still[j]).rmse()),
             joints_nrmse_moving_ratio: root_mean_square(&ratios),
             nrmse_moving_ratio: ratios,
             rmse_over_range_moving_ratio: joints(&|j| {
                 Some(rmse(j)? / (self.range[j].1 - self.range[j].0))
             }),
             torque_rms_moving_nm: joints(&torque),
-            joints_nrmse_moving_ratio_ci95: middle(nrmse),
+            joints_nrmse_moving_ratio_ci95: middle(draws.iter().map(|sums| nrmse(sums))),
             rmse_moving_nm_ci95: (0..count).map(interval).collect(),
-            rows_moving: moving.count.iter().map(|&count| count as u64).collect(),
+            rows_moving: moving.iter().map(|sums| sums.count as u64).collect(),
             cramer_rao_nrmse_moving_ratio: None,
             truth_nrmse_moving_ratio: None,
         }
@@ -303,23 +261,20 @@ pub(super) fn learning_curves(
 
 /// RMS error of every joint over its moving rows.
 pub(super) fn errors(layout: &Layout, candidate: &Candidate, rows: &[&SampleRow]) -> SplitRecord {
-    let zero = PerJoint::repeat(layout.joints(), 0.0);
-    let (mut error, mut power, mut count) = (zero, zero, zero);
+    let mut sums = no_sums(layout.joints());
     for row in rows {
         let predicted = candidate.torque(layout, row);
         for joint in (0..layout.joints()).filter(|&joint| row.moving[joint]) {
-            error[joint] += (predicted[joint] - row.tau[joint]).powi(2);
-            power[joint] += row.tau[joint].powi(2);
-            count[joint] += 1.0;
+            sums[joint].add(row.tau[joint], predicted[joint]);
         }
     }
-    let root = |over: PerJoint<f64>| {
-        let joints = error.iter().zip(over.iter());
-        let roots = joints.map(|(error, over)| (*over > 0.0).then(|| f64::sqrt(error / over)));
-        roots.collect()
-    };
     SplitRecord {
-        rmse_moving_nm: root(count),
-        nrmse_moving_ratio: root(power),
+        rmse_moving_nm: sums.iter().map(ErrorSums::rmse).collect(),
+        nrmse_moving_ratio: sums.iter().map(ErrorSums::nrmse).collect(),
     }
+}
+
+/// Sums over no rows.
+fn no_sums(joints: usize) -> PerJoint<ErrorSums> {
+    PerJoint::repeat(joints, ErrorSums::default())
 }

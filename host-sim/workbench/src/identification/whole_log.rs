@@ -36,8 +36,9 @@ enum Clock {
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
-    reader: LogReader,
-    preview: Vec<LogRow>,
+    pub(super) reader: LogReader,
+    /// The first rows, those put in included.
+    pub(super) preview: Vec<LogRow>,
     period_s: f64,
     clock: Clock,
     last: Option<LogRow>,
@@ -46,8 +47,10 @@ pub struct WholeLog {
     /// The row read last, still without a velocity.
     ahead: [Option<LogRow>; 2],
     waiting: VecDeque<LogRow>,
-    lost: usize,
-    notes: Vec<String>,
+    /// Rows put in so far.
+    pub(super) lost: usize,
+    /// Remarks on columns and clock.
+    pub(super) notes: Vec<String>,
 }
 
 impl WholeLog {
@@ -73,7 +76,7 @@ impl WholeLog {
         let period_s = median(&mut steps);
         let clock = clock(&first, period_s, reader.has_velocity());
         let mut log = Self {
-            notes: reader.notes().to_vec(),
+            notes: reader.notes.clone(),
             reader,
             preview: Vec::new(),
             period_s,
@@ -114,29 +117,9 @@ impl WholeLog {
         Ok(log)
     }
 
-    /// The columns of the log.
-    pub(super) fn reader(&self) -> &LogReader {
-        &self.reader
-    }
-
-    /// Remarks on columns and clock.
-    pub(super) fn notes(&self) -> impl Iterator<Item = String> {
-        self.notes.iter().cloned()
-    }
-
-    /// The first rows, those put in included.
-    pub(super) fn preview(&self) -> &[LogRow] {
-        &self.preview
-    }
-
     /// Time between two rows, s.
     pub fn period_s(&self) -> f64 {
         self.period_s
-    }
-
-    /// Rows put in so far.
-    pub(super) fn lost(&self) -> usize {
-        self.lost
     }
 
     /// The next row, `None` at the end.
@@ -343,7 +326,7 @@ mod tests {
             .map(|k| 8e-3 * f64::from(k) + 2e-4 * f64::from(k * 7 % 3 - 1))
             .collect();
         let (rows, log) = stamped("lost", &times, &times);
-        assert_eq!((rows.len(), log.lost()), (398, 198));
+        assert_eq!((rows.len(), log.lost), (398, 198));
         assert!((log.period_s() - 8e-3).abs() < 1e-5, "{}", log.period_s());
         for row in &rows {
             let (q, _) = motion(row.t_s);
@@ -364,7 +347,11 @@ mod tests {
         }
         let (rows, log) = stamped("uneven", &times, &times);
         assert!((log.period_s() - 11e-3).abs() < 1e-12);
-        assert!(log.notes().any(|note| note.contains("grid of 11.00 ms")));
+        assert!(
+            log.notes
+                .iter()
+                .any(|note| note.contains("grid of 11.00 ms"))
+        );
         for (k, row) in rows.iter().enumerate() {
             let (q, _) = motion(row.t_s);
             assert!((row.t_s - 11e-3 * k as f64).abs() < 1e-9);
@@ -390,7 +377,7 @@ mod tests {
         ] {
             let (rows, log) = stamped(name, &times, &stamps);
             let read: Vec<f64> = rows.iter().map(|row| row.t_s).collect();
-            assert_eq!((read, log.lost()), (stamps, 0), "{name}");
+            assert_eq!((read, log.lost), (stamps, 0), "{name}");
         }
     }
 }

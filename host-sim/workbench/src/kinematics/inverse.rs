@@ -1,7 +1,8 @@
 //! The inverse of the chain: closed form where there is one, numeric elsewhere.
 
-use super::ur::UrArm;
-use super::{Chain, InverseError, pose_error};
+use super::ur::{UrArm, out_of_reach};
+use super::{Chain, Twist, pose_error};
+use crate::Refusal;
 use crate::dynamics::Joints;
 use crate::robot::{Placement, Robot};
 use nalgebra::SMatrix;
@@ -38,11 +39,6 @@ impl<const N: usize> Inverse<N> {
         &self.chain
     }
 
-    /// There is a closed form for this arm.
-    pub fn is_closed_form(&self) -> bool {
-        self.closed.is_some()
-    }
-
     /// All joint positions that put the tip at `target`, rad within ±π; of an arm without closed form those that a search
     /// from `near` and from seeded random starts finds.
     ///
@@ -50,12 +46,12 @@ impl<const N: usize> Inverse<N> {
     ///
     /// Every solution is checked against the forward kinematics to 1e-9 m and rad.
     ///
-    /// Errors: [`InverseError`].
+    /// Errors: a line with the reason why the target is out of reach.
     pub fn solutions(
         &self,
         target: &Placement,
         near: &Joints<N>,
-    ) -> Result<Vec<Joints<N>>, InverseError> {
+    ) -> Result<Vec<Joints<N>>, Refusal> {
         let Some(arm) = &self.closed else {
             return self.searched(target, near);
         };
@@ -68,7 +64,7 @@ impl<const N: usize> Inverse<N> {
             let q = if left < VERIFIED {
                 q
             } else {
-                solve_from(&self.chain, target, &q)?
+                solve_from(&self.chain, target, &q).map_err(|left| missed(&left))?
             };
             solutions.push(q);
         }
@@ -77,29 +73,26 @@ impl<const N: usize> Inverse<N> {
 
     /// The joint positions inside the ranges that are nearest to `near`, by the largest step of a joint.
     ///
-    /// Errors: [`InverseError`].
-    pub fn nearest(&self, target: &Placement, near: &Joints<N>) -> Result<Joints<N>, InverseError> {
+    /// Errors: as of [`solutions`](Self::solutions); all of them are outside the ranges.
+    pub fn nearest(&self, target: &Placement, near: &Joints<N>) -> Result<Joints<N>, Refusal> {
         let solutions = self.solutions(target, near)?;
         let inside = solutions.iter().filter_map(|q| self.inside(q, near));
         let step = |q: &Joints<N>| (q - near).amax();
-        inside
-            .min_by(|a, b| step(a).total_cmp(&step(b)))
-            .ok_or(InverseError::OutsideRanges {
-                solutions: solutions.len(),
-            })
+        let nearest = inside.min_by(|a, b| step(a).total_cmp(&step(b)));
+        nearest.ok_or_else(|| outside_ranges(solutions.len()))
     }
 
     /// The joint positions that go on from `predicted`: the same branch, whatever the ranges.
     ///
     /// * `jump` largest step of a joint that still counts as going on, rad
     ///
-    /// Errors: [`InverseError`]; [`InverseError::Singular`] where no solution goes on.
+    /// Errors: as of [`solutions`](Self::solutions); [`singular`](Self::singular) where no solution goes on.
     pub fn onwards(
         &self,
         target: &Placement,
         predicted: &Joints<N>,
         jump: f64,
-    ) -> Result<Joints<N>, InverseError> {
+    ) -> Result<Joints<N>, Refusal> {
         let q = if self.closed.is_some() {
             let turned =
                 |q: &Joints<N>| q.zip_map(predicted, |q, p| q + ((p - q) / TAU).round() * TAU);
@@ -109,9 +102,9 @@ impl<const N: usize> Inverse<N> {
                 .iter()
                 .map(turned)
                 .min_by(|a, b| step(a).total_cmp(&step(b)));
-            nearest.ok_or(InverseError::OutsideRanges { solutions: 0 })?
+            nearest.ok_or_else(|| outside_ranges(0))?
         } else {
-            solve_from(&self.chain, target, predicted)?
+            solve_from(&self.chain, target, predicted).map_err(|left| missed(&left))?
         };
         if (q - predicted).amax() > jump {
             return Err(self.singular(predicted));
@@ -119,14 +112,14 @@ impl<const N: usize> Inverse<N> {
         Ok(q)
     }
 
-    /// The error of a posture in which the way on is not determined.
-    pub fn singular(&self, q: &Joints<N>) -> InverseError {
+    /// The refusal of a posture in which the way on is not determined.
+    pub fn singular(&self, q: &Joints<N>) -> Refusal {
         let six: Option<[f64; 6]> = q.as_slice().try_into().ok();
         let posture = match (&self.closed, six) {
             (Some(arm), Some(q)) => arm.posture(&q),
             _ => "the Jacobian has lost a direction",
         };
-        InverseError::Singular { posture }
+        Refusal::of("singular", posture)
     }
 
     /// `q` with whole turns added so that it is inside the ranges and as near to `near` as they allow.
@@ -144,18 +137,11 @@ impl<const N: usize> Inverse<N> {
         Some(out)
     }
 
-    fn searched(
-        &self,
-        target: &Placement,
-        near: &Joints<N>,
-    ) -> Result<Vec<Joints<N>>, InverseError> {
+    fn searched(&self, target: &Placement, near: &Joints<N>) -> Result<Vec<Joints<N>>, Refusal> {
         let mut random = ChaCha8Rng::seed_from_u64(0);
         let mut found: Vec<Joints<N>> = Vec::new();
-        let mut missed: Option<InverseError> = None;
-        let left = |error: &InverseError| match error {
-            InverseError::Missed { left_m, left_rad } => left_m + left_rad,
-            _ => f64::INFINITY,
-        };
+        let mut least: Option<Twist> = None;
+        let size = |left: &Twist| parts(left).iter().sum::<f64>();
         for start in 0..STARTS {
             let from = if start == 0 {
                 *near
@@ -174,15 +160,15 @@ impl<const N: usize> Inverse<N> {
                     }
                 }
                 Ok(_) => {}
-                Err(error) => {
-                    if missed.is_none_or(|before| left(&error) < left(&before)) {
-                        missed = Some(error);
+                Err(left) => {
+                    if least.is_none_or(|before| size(&left) < size(&before)) {
+                        least = Some(left);
                     }
                 }
             }
         }
-        match missed {
-            Some(error) if found.is_empty() => Err(error),
+        match least {
+            Some(left) if found.is_empty() => Err(missed(&left)),
             _ => Ok(found),
         }
     }
@@ -198,12 +184,12 @@ const ARRIVED: f64 = 1e-10;
 /// `q += Jᵀ (J Jᵀ + λ 1)⁻¹ e` with `λ = ½ eᵀe`: the damping goes with the error, so that a target out of reach does not
 /// make the steps explode and the last steps are Newton's                            [Sugihara 2011, eq. 20 without bias]
 ///
-/// Errors: [`InverseError::Missed`].
+/// Errors: what is left to the target.
 fn solve_from<const N: usize>(
     chain: &Chain<N>,
     target: &Placement,
     start: &Joints<N>,
-) -> Result<Joints<N>, InverseError> {
+) -> Result<Joints<N>, Twist> {
     let mut q = *start;
     let mut left = pose_error(&chain.forward(&q), target);
     for _ in 0..STEPS {
@@ -222,11 +208,28 @@ fn solve_from<const N: usize>(
     if left.amax() < ARRIVED {
         return Ok(q);
     }
-    let (linear, angular) = (left.fixed_rows::<3>(0), left.fixed_rows::<3>(3));
-    Err(InverseError::Missed {
-        left_m: linear.norm(),
-        left_rad: angular.norm(),
-    })
+    Err(left)
+}
+
+/// Lengths of the linear and the angular part, m and rad.
+fn parts(left: &Twist) -> [f64; 2] {
+    [
+        left.fixed_rows::<3>(0).norm(),
+        left.fixed_rows::<3>(3).norm(),
+    ]
+}
+
+fn missed(left: &Twist) -> Refusal {
+    let [left_m, left_rad] = parts(left);
+    out_of_reach(format!(
+        "the nearest pose found is {left_m:.3} m and {left_rad:.3} rad away"
+    ))
+}
+
+fn outside_ranges(solutions: usize) -> Refusal {
+    out_of_reach(format!(
+        "all {solutions} solutions are outside the joints' ranges"
+    ))
 }
 
 #[cfg(test)]
@@ -261,7 +264,7 @@ mod tests {
     fn all_eight_are_right(robot: &Robot) {
         let tool = Placement::from_xyz_rpy(Vector3::new(0.02, 0.1, 0.15), Vector3::repeat(0.4));
         let inverse = Inverse::<6>::new(robot, &tool).expect("six joints");
-        assert!(inverse.is_closed_form());
+        assert!(inverse.closed.is_some());
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let mut eights = 0;
         for case in 0..2000 {
@@ -333,7 +336,7 @@ mod tests {
     fn an_arm_without_closed_form_is_solved_by_steps() {
         let robot = Robot::load("panda").expect("built in");
         let inverse = Inverse::<7>::new(&robot, &Placement::identity()).expect("seven joints");
-        assert!(!inverse.is_closed_form());
+        assert!(inverse.closed.is_none());
         let mut random = ChaCha8Rng::seed_from_u64(4);
         for case in 0..20 {
             let q = Joints::<7>::from_fn(|j, _| {
@@ -375,9 +378,8 @@ mod tests {
         let panda = Robot::load("panda").expect("built in");
         let inverse = Inverse::<7>::new(&panda, &Placement::identity()).expect("seven joints");
         let error = inverse.nearest(&at(1.5, 0.0, 0.3), &Joints::zeros());
-        assert!(
-            matches!(error, Err(InverseError::Missed { left_m, .. }) if left_m > 0.1),
-            "{error:?}"
-        );
+        let text = error.expect_err("nowhere").to_string();
+        let away = "out of reach: the nearest pose found is ";
+        assert!(text.starts_with(away) && !text.contains("is 0.0"), "{text}");
     }
 }

@@ -12,62 +12,7 @@ mod ur;
 use crate::dynamics::Joints;
 use crate::robot::{Placement, Robot};
 pub use inverse::Inverse;
-use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3, Vector6};
-
-/// Reason for which a pose has no joint positions, or none that continues a branch.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum InverseError {
-    /// The wrist would be farther from the shoulder than both links together are long.
-    #[error(
-        "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 2, the arm is {reach_m:.3} m long"
-    )]
-    TooFar {
-        /// Distance of the wrist from the axis of joint 2, m.
-        distance_m: f64,
-        /// Length of both links, m.
-        reach_m: f64,
-    },
-    /// The wrist would be nearer to the shoulder than the difference of both links.
-    #[error(
-        "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 2, folded it is {least_m:.3} m"
-    )]
-    TooNear {
-        /// Distance of the wrist from the axis of joint 2, m.
-        distance_m: f64,
-        /// Difference of both lengths, m.
-        least_m: f64,
-    },
-    /// The wrist would be nearer to the axis of joint 1 than the arm's sideways offset.
-    #[error(
-        "out of reach: the wrist would be {distance_m:.3} m from the axis of joint 1, the arm passes it at {least_m:.3} m"
-    )]
-    InColumn {
-        /// Distance of the wrist from the axis of joint 1, m.
-        distance_m: f64,
-        /// The sideways offset, m.
-        least_m: f64,
-    },
-    /// The numeric search ended elsewhere.
-    #[error("out of reach: the nearest pose found is {left_m:.3} m and {left_rad:.3} rad away")]
-    Missed {
-        /// Remaining error of the position, m.
-        left_m: f64,
-        /// Remaining error of the orientation, rad.
-        left_rad: f64,
-    },
-    /// There are solutions, all of them outside the joints' ranges.
-    #[error("out of reach: all {solutions} solutions are outside the joints' ranges")]
-    OutsideRanges {
-        /// Number of solutions.
-        solutions: usize,
-    },
-    /// The arm cannot move the tool in every direction there: the way on is not determined.
-    #[error("singular: {posture}")]
-    Singular {
-        /// Parts that are in line.
-        posture: &'static str,
-    },
-}
+use nalgebra::{Matrix3, Rotation3, SMatrix, Vector3, Vector6};
 
 /// Velocity of the flange, m/s, then its angular velocity, rad/s; or the derivative of both.
 pub type Twist = Vector6<f64>;
@@ -178,9 +123,7 @@ impl<const N: usize> Chain<N> {
         let (mut axis, mut origin) = (zero, zero);
         let mut frame = Placement::identity();
         for k in 0..N {
-            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), q[k]);
-            frame = frame.then(&self.placements[k]);
-            frame.rot_parent_child *= turn.matrix();
+            frame = frame.then(&self.placements[k]).turned(q[k]);
             axis[k] = frame.rot_parent_child.column(2).into_owned();
             origin[k] = frame.origin;
         }
@@ -192,7 +135,8 @@ impl<const N: usize> Chain<N> {
     }
 }
 
-fn stacked(linear: &Vector3<f64>, angular: &Vector3<f64>) -> SVector<f64, 6> {
+/// The twist of a linear and an angular part.
+pub(crate) fn stacked(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Twist {
     Twist::new(
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
     )

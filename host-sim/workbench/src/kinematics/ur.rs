@@ -11,7 +11,7 @@
 //! T06 = Rz(θ1) Tz(d1) Rx(90°) · Rz(θ2) Tx(a2) Rz(θ3) Tx(a3) Rz(θ4) Tz(D) Rx(90°) · Rz(θ5) Tz(d5) Rx(−90°) · Rz(θ6)
 //! ```
 
-use super::InverseError;
+use crate::Refusal;
 use crate::robot::Placement;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -125,23 +125,24 @@ impl UrArm {
     ///
     /// * `free` position of joint 6 to take where axes 4 and 6 are parallel and only the sum of both is determined
     ///
-    /// Errors: [`InverseError::TooFar`], [`InverseError::TooNear`], [`InverseError::InColumn`] of the branch that misses
-    /// by least.
+    /// Errors: the reason of the branch that misses by least.
     pub(super) fn solutions(
         &self,
         target: &Placement,
         free: f64,
-    ) -> Result<Vec<[f64; 6]>, InverseError> {
+    ) -> Result<Vec<[f64; 6]>, Refusal> {
         let t06 = self.base.inverse().then(target).then(&self.wrist);
         let (rot, p) = (&t06.rot_parent_child, &t06.origin);
         let (distance, heading) = (p.x.hypot(p.y), p.y.atan2(p.x));
         // p · z1 = D with z1 = (sin θ1, −cos θ1, 0): distance · sin(θ1 − heading) = D.
-        let lean = arcsine(self.across / distance).ok_or(InverseError::InColumn {
-            distance_m: distance,
-            least_m: self.across.abs(),
+        let lean = arcsine(self.across / distance).ok_or_else(|| {
+            out_of_reach(format!(
+                "the wrist would be {distance:.3} m from the axis of joint 1, the arm passes it at {:.3} m",
+                self.across.abs()
+            ))
         })?;
         let mut found = Vec::with_capacity(8);
-        let mut missed: Option<(f64, InverseError)> = None;
+        let mut missed: Option<(f64, Refusal)> = None;
         for theta1 in [heading + lean, heading + PI - lean] {
             let (s1, c1) = theta1.sin_cos();
             let (x1, z1) = (Vector3::new(c1, s1, 0.0), Vector3::new(s1, -c1, 0.0));
@@ -177,7 +178,7 @@ impl UrArm {
                         }
                     }
                     Err((short, error)) => {
-                        if missed.is_none_or(|(least, _)| short < least) {
+                        if missed.as_ref().is_none_or(|(least, _)| short < *least) {
                             missed = Some((short, error));
                         }
                     }
@@ -191,7 +192,7 @@ impl UrArm {
     }
 
     /// θ3 ≥ 0 of the planar arm a2, a3 that reaches (x, y); or by how much it does not, and why.
-    fn elbow(&self, x: f64, y: f64) -> Result<f64, (f64, InverseError)> {
+    fn elbow(&self, x: f64, y: f64) -> Result<f64, (f64, Refusal)> {
         let square = x * x + y * y;
         let cosine = (square - self.a2 * self.a2 - self.a3 * self.a3) / (2.0 * self.a2 * self.a3);
         if cosine.abs() <= 1.0 + ROUNDING {
@@ -199,19 +200,16 @@ impl UrArm {
         }
         let distance_m = square.sqrt();
         let (reach_m, least_m) = (self.a2 + self.a3, (self.a2 - self.a3).abs());
-        Err(if cosine > 0.0 {
-            let error = InverseError::TooFar {
-                distance_m,
-                reach_m,
-            };
-            (distance_m - reach_m, error)
+        let (short_m, limit) = if cosine > 0.0 {
+            (
+                distance_m - reach_m,
+                format!("the arm is {reach_m:.3} m long"),
+            )
         } else {
-            let error = InverseError::TooNear {
-                distance_m,
-                least_m,
-            };
-            (least_m - distance_m, error)
-        })
+            (least_m - distance_m, format!("folded it is {least_m:.3} m"))
+        };
+        let wrist = format!("the wrist would be {distance_m:.3} m from the axis of joint 2");
+        Err((short_m, out_of_reach(format!("{wrist}, {limit}"))))
     }
 
     /// Parts that are nearly in line at `q`, if any.
@@ -226,6 +224,11 @@ impl UrArm {
             "the wrist stands over the shoulder"
         }
     }
+}
+
+/// The refusal of a pose that no joint positions have.
+pub(super) fn out_of_reach(reason: String) -> Refusal {
+    Refusal::of("out of reach", reason)
 }
 
 fn arcsine(sine: f64) -> Option<f64> {

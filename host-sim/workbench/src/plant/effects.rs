@@ -1,6 +1,7 @@
 //! Effects of real drives that a rigid arm with steady friction has not. All are off by default.
 
 use super::Measurement;
+use crate::Refusal;
 use crate::dynamics::Joints;
 use crate::files::at;
 use rand::Rng;
@@ -8,8 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Effects of real drives. A field of 0 switches its effect off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
@@ -46,35 +46,22 @@ pub struct PlantEffects {
     pub torque_lag_ms: f64,
 }
 
-/// Reason for which a file of plant effects is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum EffectsError {
-    /// The file cannot be read.
-    #[error("{0}")]
-    File(io::Error),
-    /// It is no table of effects.
-    #[error("{0}: {1}")]
-    Syntax(PathBuf, String),
-    /// A value has no meaning.
-    #[error("{0}: {1}")]
-    Value(PathBuf, &'static str),
-}
-
 /// Period of the sensor drift, s.
 const DRIFT_PERIOD_S: f64 = 300.0;
 
 impl PlantEffects {
     /// The table in a TOML file.
     ///
-    /// Errors: [`EffectsError`], one line that names the file.
-    pub fn load(path: &Path) -> Result<Self, EffectsError> {
-        let text = std::fs::read_to_string(path).map_err(|e| EffectsError::File(at(path, e)))?;
+    /// Errors: one line that names the file.
+    pub fn load(path: &Path) -> Result<Self, Refusal> {
+        let text = std::fs::read_to_string(path);
+        let text = text.map_err(|error| Refusal(at(path, error).to_string()))?;
         let effects: Self = toml::from_str(&text).map_err(|error| {
             let words: Vec<&str> = error.message().split_whitespace().collect();
-            EffectsError::Syntax(path.to_owned(), words.join(" "))
+            Refusal::of(path.display(), words.join(" "))
         })?;
         match effects.problem() {
-            Some(problem) => Err(EffectsError::Value(path.to_owned(), problem)),
+            Some(problem) => Err(Refusal::of(path.display(), problem)),
             None => Ok(effects),
         }
     }

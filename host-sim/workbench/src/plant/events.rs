@@ -32,21 +32,12 @@ pub struct Push<const N: usize> {
 const RISE_S: f64 = 0.01;
 
 /// All events of one run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Events<const N: usize> {
     /// Payloads; the first one whose interval contains the time counts.
     pub payloads: Vec<Payload>,
     /// Pushes; they add up.
     pub pushes: Vec<Push<N>>,
-}
-
-impl<const N: usize> Default for Events<N> {
-    fn default() -> Self {
-        Self {
-            payloads: Vec::new(),
-            pushes: Vec::new(),
-        }
-    }
 }
 
 impl<const N: usize> Events<N> {
@@ -93,8 +84,6 @@ pub struct ReportFaults {
     pub torque_gain: f64,
     /// Share of torque values that are outliers.
     pub outliers: f64,
-    /// Size of an outlier, share of the torque limit.
-    pub outlier_size: f64,
     /// Share of position values in which one of the encoder's upper bits has flipped.
     pub glitches: f64,
     /// Share of reports with a non-finite number.
@@ -106,11 +95,10 @@ pub struct ReportFaults {
 }
 
 impl ReportFaults {
-    /// No fault; an outlier would be 20 % of the limit, twenty times the usual noise.
+    /// No fault.
     pub const NONE: Self = Self {
         torque_gain: 1.0,
         outliers: 0.0,
-        outlier_size: 0.2,
         glitches: 0.0,
         not_a_number: 0.0,
         lost: 0.0,
@@ -118,12 +106,8 @@ impl ReportFaults {
     };
 }
 
-impl Default for ReportFaults {
-    fn default() -> Self {
-        Self::NONE
-    }
-}
-
+/// Size of an outlier, share of the torque limit: twenty times the usual noise.
+const OUTLIER_SIZE: f64 = 0.2;
 /// The encoder bits that flip: from an eighth of a turn down to a thousandth.
 const FLIPPED_BITS: std::ops::Range<i32> = 3..11;
 
@@ -140,7 +124,7 @@ impl ReportFaults {
         for j in 0..N {
             if happens(self.outliers, random) {
                 let sign = if random.random::<bool>() { 1.0 } else { -1.0 };
-                seen.tau[j] += sign * self.outlier_size * torque_limit[j];
+                seen.tau[j] += sign * OUTLIER_SIZE * torque_limit[j];
             }
             if happens(self.glitches, random) {
                 let bit = random.random_range(FLIPPED_BITS);
@@ -277,11 +261,11 @@ mod tests {
 
     #[test]
     fn reports_equal_measurements_and_faults_keep_the_noise() {
-        let clean = reports(ReportFaults::default());
+        let clean = reports(ReportFaults::NONE);
         let bad = reports(ReportFaults {
             outliers: 0.01,
             lost: 0.1,
-            ..ReportFaults::default()
+            ..ReportFaults::NONE
         });
         for ((measured, report), (same, _)) in clean.iter().zip(&bad) {
             assert_eq!(Some(*measured), *report);
@@ -295,7 +279,7 @@ mod tests {
             torque_gain: -1.0,
             outliers: 0.01,
             glitches: 0.02,
-            ..ReportFaults::default()
+            ..ReportFaults::NONE
         });
         let (mut outliers, mut glitches) = (0, 0);
         for (measured, report) in &seen {
@@ -315,7 +299,7 @@ mod tests {
             lost: 0.05,
             late: 0.05,
             not_a_number: 0.03,
-            ..ReportFaults::default()
+            ..ReportFaults::NONE
         });
         let lost = seen.iter().filter(|(_, report)| report.is_none()).count();
         let late = seen.windows(2).filter(|pair| Some(pair[0].0) == pair[1].1);

@@ -7,7 +7,7 @@ mod friction;
 #[cfg(test)]
 mod tests;
 
-pub use effects::{EffectsError, PlantEffects};
+pub use effects::PlantEffects;
 pub use events::{Events, Payload, Push, ReportFaults};
 
 use crate::dynamics::{Joints, ReferenceModel, State};
@@ -120,7 +120,7 @@ impl<const N: usize> Plant<N> {
             counts: Joints::from(robot.each(|joint| counts(joint.drive.encoder_bits))?),
             config,
             random: ChaCha8Rng::seed_from_u64(seed),
-            faults: ReportFaults::default(),
+            faults: ReportFaults::NONE,
             fault_random: stream(1),
             reported: None,
             queue: ReportQueue::default(),
@@ -249,7 +249,7 @@ impl<const N: usize> Plant<N> {
             }
             _ => {
                 let (q, qd) = (&motion.q, &motion.qd);
-                let bias = self.model.bias(q, qd);
+                let (_, bias) = self.model.mass_matrix_and_bias(q, qd);
                 let (friction, state) = (&self.friction, &self.friction_state);
                 let (torque, _) = friction.torque_and_slope(q, qd, &bias, state, self.t_s);
                 needed += torque;

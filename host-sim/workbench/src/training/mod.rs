@@ -6,4 +6,4 @@ mod residual;
 
 pub use network::{BlackBox, TrainingNetwork};
 pub use physical::{Descent, LinearLayer, PhysicalConfig, Trained};
-pub use residual::{ResidualConfig, SpeedPoint, train_residual};
+pub use residual::{SpeedPoint, train_residual};

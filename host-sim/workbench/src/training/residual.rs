@@ -18,29 +18,12 @@ pub struct SpeedPoint {
     pub weight: f64,
 }
 
-/// Settings of the training of a residual network.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResidualConfig {
-    /// Seed of the random starts.
-    pub seed: u64,
-    /// Random starts; the one with the lowest loss is kept.
-    pub starts: usize,
-    /// Most steps of one start.
-    pub max_steps: usize,
-    /// Weight decay against the error in units of the residual: without it, units fit noise of sparse rows.
-    pub decay: f64,
-}
-
-impl Default for ResidualConfig {
-    fn default() -> Self {
-        Self {
-            seed: 1,
-            starts: 4,
-            max_steps: 100,
-            decay: 1e-4,
-        }
-    }
-}
+/// Random starts; the one with the lowest loss is kept.
+const STARTS: u64 = 4;
+/// Most steps of one start.
+const MOST_STEPS: usize = 100;
+/// Weight decay against the error in units of the residual: without it, units fit noise of sparse rows.
+const DECAY: f64 = 1e-4;
 
 /// One joint's network in the board's precision, trained on the mean residuals of two halves of a log, and its loss (RMSE,
 /// ratio of the torque limit) after every step of the best start. `watch` receives step and loss of every start.
@@ -53,12 +36,12 @@ impl Default for ResidualConfig {
 pub fn train_residual(
     halves: &[Vec<SpeedPoint>; 2],
     fastest: f64,
-    config: &ResidualConfig,
+    seed: u64,
     watch: &mut dyn FnMut(usize, f64),
 ) -> (JointNetwork, Vec<f64>) {
     let (mut gain, mut variance) = (0.0, 0.0);
     for (own, other) in [(0, 1), (1, 0)] {
-        let (probe, _) = fit(&halves[own], fastest, config, &mut |_, _| ());
+        let (probe, _) = fit(&halves[own], fastest, seed, &mut |_, _| ());
         let noise = noise(&halves[other]);
         for point in &halves[other] {
             let share = f64::from(probe.forward(&network_inputs(point.qd as f32))[0]);
@@ -68,9 +51,9 @@ pub fn train_residual(
         }
     }
     if gain > CERTAIN * variance.sqrt() {
-        return fit(&halves.concat(), fastest, config, watch);
+        return fit(&halves.concat(), fastest, seed, watch);
     }
-    (JointNetwork::silent(config.seed as u32), Vec::new())
+    (JointNetwork::silent(seed as u32), Vec::new())
 }
 
 /// Deviations by which networks must improve rows they were not trained on.
@@ -92,10 +75,10 @@ const FEWEST: usize = 30;
 fn fit(
     points: &[SpeedPoint],
     fastest: f64,
-    config: &ResidualConfig,
+    seed: u64,
     watch: &mut dyn FnMut(usize, f64),
 ) -> (JointNetwork, Vec<f64>) {
-    let mut best = (JointNetwork::silent(config.seed as u32), Vec::new());
+    let mut best = (JointNetwork::silent(seed as u32), Vec::new());
     if points.len() < FEWEST {
         return best;
     }
@@ -114,10 +97,10 @@ fn fit(
         })
         .collect();
     let mut least = f64::INFINITY;
-    for start in 0..config.starts.max(1) as u64 {
-        let seed = config.seed.wrapping_add(start);
+    for start in 0..STARTS {
+        let seed = seed.wrapping_add(start);
         let network = TrainingNetwork::silent(NETWORK_INPUTS, NETWORK_HIDDEN, 1, seed);
-        let (network, losses) = descend(network, &rows, config, &mut |step, loss| {
+        let (network, losses) = descend(network, &rows, &mut |step, loss| {
             watch(step, loss * unit);
         });
         if let Some(&loss) = losses.last().filter(|loss| **loss < least) {
@@ -166,14 +149,13 @@ fn beyond(points: &[SpeedPoint], fastest: f64) -> Vec<SpeedPoint> {
 fn descend(
     mut network: TrainingNetwork,
     rows: &[Row],
-    config: &ResidualConfig,
     watch: &mut dyn FnMut(usize, f64),
 ) -> (TrainingNetwork, Vec<f64>) {
     let size = network.weights.len();
     let mut damping = 1e-2;
-    let mut loss = objective(&network, rows, config.decay);
+    let mut loss = objective(&network, rows);
     let mut losses = vec![loss.1];
-    'steps: for _ in 0..config.max_steps {
+    'steps: for _ in 0..MOST_STEPS {
         let mut normal = DMatrix::<f64>::zeros(size, size);
         let mut slope = DVector::<f64>::zeros(size);
         let mut jacobian = vec![0.0; size];
@@ -195,8 +177,8 @@ fn descend(
             }
         }
         for (k, weight) in network.weights.iter().enumerate() {
-            slope[k] += config.decay * weight;
-            normal[(k, k)] += config.decay;
+            slope[k] += DECAY * weight;
+            normal[(k, k)] += DECAY;
         }
         normal.fill_upper_triangle_with_lower_triangle();
         loop {
@@ -211,7 +193,7 @@ fn descend(
                     *weight -= step;
                 }
             }
-            let now = objective(&moved, rows, config.decay);
+            let now = objective(&moved, rows);
             if now.0 < loss.0 {
                 let gain = loss.0 - now.0;
                 network = moved;
@@ -234,7 +216,7 @@ fn descend(
 }
 
 /// Objective with weight decay, and RMSE without.
-fn objective(network: &TrainingNetwork, rows: &[Row], decay: f64) -> (f64, f64) {
+fn objective(network: &TrainingNetwork, rows: &[Row]) -> (f64, f64) {
     let (mut a, mut y) = ([0.0; NETWORK_HIDDEN], [0.0]);
     let mut mean = 0.0;
     for row in rows {
@@ -242,7 +224,7 @@ fn objective(network: &TrainingNetwork, rows: &[Row], decay: f64) -> (f64, f64) 
         mean += row.weight * (y[0] - row.target).powi(2);
     }
     let weights: f64 = network.weights.iter().map(|w| w * w).sum();
-    (0.5 * (mean + decay * weights), mean.sqrt())
+    (0.5 * (mean + DECAY * weights), mean.sqrt())
 }
 
 /// The network in the board's precision and order, its output multiplied by `unit`.
@@ -265,7 +247,7 @@ mod tests {
     use super::*;
 
     fn train(halves: [Vec<SpeedPoint>; 2]) -> (JointNetwork, Vec<f64>) {
-        train_residual(&halves, 3.0, &ResidualConfig::default(), &mut |_, _| ())
+        train_residual(&halves, 3.0, 1, &mut |_, _| ())
     }
 
     fn output(network: &JointNetwork, qd: f64) -> f64 {

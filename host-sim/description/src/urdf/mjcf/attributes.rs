@@ -6,7 +6,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     /// Takes the settings of `<compiler>`.
     ///
     /// Errors: one that changes masses or places, which MuJoCo alone can apply.
-    pub(super) fn compiler(&mut self, node: Node<'a, 'input>) -> Result<(), UrdfProblem> {
+    pub(super) fn compiler(&mut self, node: Node<'a, 'input>) -> Result<(), String> {
         if let Some(angle) = node.attribute("angle") {
             self.degrees = angle != "radian";
         }
@@ -86,7 +86,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         node: Node<'a, 'input>,
         class: &str,
         name: &str,
-    ) -> Result<Option<f64>, UrdfProblem> {
+    ) -> Result<Option<f64>, String> {
         let found = self.attribute(node, class, name);
         found.map_or(Ok(None), |found| optional(found, name))
     }
@@ -97,7 +97,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         node: Node<'a, 'input>,
         class: &str,
         name: &str,
-    ) -> Result<Vec<f64>, UrdfProblem> {
+    ) -> Result<Vec<f64>, String> {
         let found = self.attribute(node, class, name);
         found.map_or(Ok(Vec::new()), |found| numbers(found, name))
     }
@@ -108,7 +108,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         node: Node<'a, 'input>,
         class: &str,
         [name, limited]: [&str; 2],
-    ) -> Result<Option<(f64, f64)>, UrdfProblem> {
+    ) -> Result<Option<(f64, f64)>, String> {
         let on = self.attribute(node, class, limited);
         let on = on.and_then(|on| on.attribute(limited)).unwrap_or("auto");
         let on = on == "true" || (on == "auto" && self.autolimits);
@@ -129,7 +129,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Position and orientation of an element in the one around it.
-    pub(super) fn pose(&self, node: Node<'a, 'input>) -> Result<Placement, UrdfProblem> {
+    pub(super) fn pose(&self, node: Node<'a, 'input>) -> Result<Placement, String> {
         let bad = |name: &str| {
             problem(
                 node,
@@ -195,7 +195,7 @@ impl<'a, 'input> Reader<'a, 'input> {
 }
 
 /// Numbers of an attribute; none where it is not given.
-pub(super) fn numbers(node: Node<'_, '_>, name: &str) -> Result<Vec<f64>, UrdfProblem> {
+pub(super) fn numbers(node: Node<'_, '_>, name: &str) -> Result<Vec<f64>, String> {
     let Some(text) = node.attribute(name) else {
         return Ok(Vec::new());
     };

@@ -3,27 +3,11 @@
 use super::*;
 
 /// Default classes, degrees, a turned and shifted joint, an actuator's limit, a gripper whose fingers are coupled.
-pub(super) const MJCF: &str = r#"<!DOCTYPE mujoco><mujoco model="Two">
-  <compiler angle="degree" eulerseq="XYZ"/>
-  <option gravity="0 0 -9.8"/>
-  <default><joint armature="0.1" damping="1"/>
-    <default class="arm"><joint axis="0 1 0" range="-90 90"/><motor ctrlrange="-30 30"/>
-      <default class="small"><joint armature="0.02" frictionloss="0.3"/></default></default></default>
-  <worldbody><body name="stand" pos="0 0 1" childclass="arm">
-    <body name="upper" pos="0 0 0.5"><inertial pos="0.2 0 0" mass="2" diaginertia="0.01 0.03 0.03"/>
-      <joint name="shoulder" actuatorfrcrange="-40 50"/>
-      <frame pos="0.3 0 0"><body name="fore" euler="90 0 0">
-        <inertial pos="0.2 0 0" mass="1" fullinertia="0.01 0.02 0.02 0 0 0"/>
-        <joint name="elbow" class="small" axis="0 0 1" pos="0.1 0 0" ref="10"/>
-        <body name="left"><joint name="slide" type="slide"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
-        <body name="right"><joint name="turn"/><inertial pos="0 0 0" mass="0.1" diaginertia="1 1 1"/></body>
-      </body></frame></body></body></worldbody>
-  <actuator><motor joint="elbow" class="arm" gear="0.5"/><position joint="shoulder" forcerange="-35 35"/></actuator>
-  <equality><joint joint1="turn" joint2="slide"/></equality></mujoco>"#;
+pub(super) const MJCF: &str = include_str!("two.xml");
 
 #[test]
 fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
-    let import = parse("t", MJCF, &Selection::default()).unwrap();
+    let import = imported(MJCF);
     let [shoulder, elbow] = &import.robot.joints[..] else {
         panic!("{:?}", import.notes);
     };
@@ -60,7 +44,7 @@ fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
 
 #[test]
 fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
-    let read = |text: &str| parse("t", text, &Selection::default()).unwrap();
+    let read = imported;
     let noted = |import: &Import| import.notes.iter().any(|note| note.contains("as radians"));
     let bare = MJCF.replace("angle=\"degree\" ", "");
     // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.
@@ -126,14 +110,7 @@ fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
             r#"<link name="left"/><joint name="left_finger_tip" type="revolute">
           <parent link="left"/><child link="left_tip"/></joint><link name="left_tip"/>"#,
         );
-    assert_eq!(
-        parse("t", &hand, &Selection::default())
-            .unwrap()
-            .robot
-            .joints
-            .len(),
-        2
-    );
+    assert_eq!(whole(&hand).joints.len(), 2);
     // A wrist that carries a jaw.
     let wrist = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
     let wrist = wrist.replace("\"hand\"", "\"gripper\"").replace(
@@ -143,12 +120,12 @@ fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
     let start = wrist.find(r#"<joint name="right_finger""#).unwrap();
     let end = wrist.find("<link name=\"right\"/>").unwrap();
     let wrist = format!("{}{}", &wrist[..start], &wrist[end + 21..]);
-    let robot = parse("t", &wrist, &Selection::default()).unwrap().robot;
+    let robot = whole(&wrist);
     assert_eq!((robot.joints.len(), &*robot.joints[2].name), (3, "wrist"));
     let palm = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
     let palm = palm.replace("hand", "gripper");
-    let robot = parse("t", &palm, &Selection::default()).unwrap().robot;
+    let robot = whole(&palm);
     assert_eq!(robot.joints[2].name, "wrist");
     let loose = ARM.replace("<robot ", "<!DOCTYPE robot><robot foo:bar=\"1\" ");
-    assert_eq!(parse("t", &loose, &TO_HAND).unwrap().robot.joints.len(), 2);
+    assert_eq!(to_hand(&loose).joints.len(), 2);
 }

@@ -4,38 +4,11 @@ mod written;
 
 use super::*;
 use crate::dynamics::{Joints, ReferenceModel, RigidBodies, State};
-use crate::robot::Placement;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::FRAC_PI_2;
 
 /// A shoulder and an elbow about y, a hand with two fingers bolted to the forearm, and a camera on the upper arm.
-const ARM: &str = r#"<robot name="Two-Link">
-  <link name="world"/>
-  <joint name="stand" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0 0 1"/></joint>
-  <link name="base"/>
-  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
-    <origin xyz="0 0 0.5"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="3" effort="40"/>
-  </joint>
-  <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
-    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03"/></inertial></link>
-  <joint name="camera_mount" type="fixed"><parent link="upper"/><child link="camera"/><origin xyz="0 0 0.1"/></joint>
-  <link name="camera"><inertial><mass value="1"/>
-    <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
-  <joint name="elbow" type="continuous"><parent link="upper"/><child link="fore"/>
-    <origin xyz="0.4 0 0" rpy="1.5708 0 0"/><axis xyz="0 0 1"/><limit velocity="3" effort="20"/>
-    <dynamics damping="0.5" friction="0.25"/>
-  </joint>
-  <link name="fore"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
-    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
-  <joint name="wrist" type="fixed"><parent link="fore"/><child link="hand"/><origin xyz="0.3 0 0"/></joint>
-  <link name="hand"><inertial><mass value="0.5"/>
-    <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>
-  <joint name="left_finger" type="prismatic"><parent link="hand"/><child link="left"/></joint>
-  <link name="left"/>
-  <joint name="right_finger" type="prismatic"><parent link="hand"/><child link="right"/>
-    <mimic joint="left_finger"/></joint>
-  <link name="right"/>
-</robot>"#;
+const ARM: &str = include_str!("two_link.urdf");
 
 const TO_HAND: Selection<'static> = Selection {
     base: None,
@@ -44,6 +17,23 @@ const TO_HAND: Selection<'static> = Selection {
     repair: false,
     link_mass: None,
 };
+
+/// The arm of a file that needs no selection, and the notes.
+fn imported(text: &str) -> Import {
+    parse("t", text, &Selection::default()).unwrap()
+}
+
+fn whole(text: &str) -> Robot {
+    imported(text).robot
+}
+
+fn to_hand(text: &str) -> Robot {
+    parse("t", text, &TO_HAND).unwrap().robot
+}
+
+fn refusal(text: &str, selection: &Selection<'_>) -> String {
+    parse("t", text, selection).unwrap_err().to_string()
+}
 
 fn gravity_torques(robot: &Robot) -> Joints<2> {
     let model = ReferenceModel::<2>::new(robot).unwrap();
@@ -92,7 +82,7 @@ fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
             </robot>"#,
             axis.x, axis.y, axis.z
         );
-        let robot = parse("t", &text, &Selection::default()).unwrap().robot;
+        let robot = whole(&text);
         let model = ReferenceModel::<1>::new(&robot).unwrap();
         let unit = axis.normalize();
         let (com, mass) = (Vector3::new(0.3, 0.2, -0.1), 2.0);
@@ -126,7 +116,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
     let nothing = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
     assert_eq!(ARM.matches(tensor).count(), 2);
     let points = ARM.replace(tensor, nothing);
-    let bolted = parse("t", &points, &TO_HAND).unwrap().robot;
+    let bolted = to_hand(&points);
     assert_eq!(bolted.joints[1].link.mass, 1.5);
     let only_a_point = points.replacen(
         r#"<parent link="fore"/><child link="hand"/>"#,
@@ -137,7 +127,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
     let only_a_point =
         only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
     assert_eq!(
-        parse("t", &only_a_point, &TO_HAND).unwrap_err().to_string(),
+        refusal(&only_a_point, &TO_HAND),
         "t: link 'hand': inertia is not positive definite (--repair takes the nearest of a body)"
     );
 }
@@ -192,8 +182,8 @@ fn assumptions_are_listed_in_the_notes() {
 
 #[test]
 fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
-    let whole = parse("t", ARM, &Selection::default()).unwrap();
-    assert_eq!(whole.robot, parse("t", ARM, &TO_HAND).unwrap().robot);
+    let whole = imported(ARM);
+    assert_eq!(whole.robot, to_hand(ARM));
     let end = "the arm ends at link 'hand'".to_owned();
     assert!(whole.notes.contains(&end), "{:?}", whole.notes);
     // A jaw that turns is a finger by its name; without such a name it is a joint.
@@ -202,7 +192,7 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
         "\"jaw\" type=\"revolute\"",
     );
     let jaw = jaw.replace("<mimic joint=\"left_finger\"/>", "<mimic joint=\"jaw\"/>");
-    let ends = parse("t", &jaw, &Selection::default()).unwrap();
+    let ends = imported(&jaw);
     assert_eq!(ends.robot.joint_count(), 2);
     let by_joint = Selection {
         base: Some("elbow"),
@@ -219,9 +209,7 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
         <joint name="a" type="revolute"><parent link="base"/><child link="b"/></joint><link name="b"/>
         <joint name="c" type="revolute"><parent link="b"/><child link="d"/></joint><link name="d"/>
         <joint name="e" type="revolute"><parent link="d"/><child link="f"/></joint><link name="f"/></robot>"#);
-    let error = parse("t", &torso, &Selection::default())
-        .unwrap_err()
-        .to_string();
+    let error = refusal(&torso, &Selection::default());
     let expected =
         "t: the tree branches at link 'world': choose the arm's end with --tip 'f' or --tip 'fore'";
     assert_eq!(error, expected);
@@ -232,7 +220,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     let bare = ARM
         .replace(" effort=\"40\"", "")
         .replacen("velocity=\"3\"", "velocity=\"0\"", 1);
-    let import = parse("t", &bare, &Selection::default()).unwrap();
+    let import = imported(&bare);
     let shoulder = import.robot.joints[0].limits;
     // 1.5 of 9.81 (3·0.137 + 1.5·(0.4 + 0.167)) N·m, and 1 N·m.
     assert_eq!((shoulder.velocity, shoulder.torque), (2.0, 20.0));
@@ -263,10 +251,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         .second_moments()
         .symmetric_eigenvalues();
     assert!(moments.min() > 0.0);
-    assert_eq!(
-        parse("t", ARM, &repair).unwrap().robot,
-        parse("t", ARM, &TO_HAND).unwrap().robot
-    );
+    assert_eq!(parse("t", ARM, &repair).unwrap().robot, to_hand(ARM));
     let weld = Selection {
         weld: true,
         ..Selection::default()
@@ -289,12 +274,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         "<inertia ixx=\"0\" ixy=\"0\" ixz=\"0\" iyy=\"0\" iyz=\"0\" izz=\"0\"/>",
         1,
     );
-    assert!(
-        parse("t", &hollow, &Selection::default())
-            .unwrap_err()
-            .to_string()
-            .ends_with("--link-mass")
-    );
+    assert!(refusal(&hollow, &Selection::default()).ends_with("--link-mass"));
     let rods = Selection {
         link_mass: Some(2.0),
         ..Selection::default()
@@ -304,26 +284,5 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
             .link
             .mass,
         2.0
-    );
-}
-
-#[test]
-fn panda_reaches_as_its_manufacturer_states() {
-    // All joints at zero: x = a7, z = d1 + d3 + d5 − flange (table of the manufacturer).
-    let robot = Robot::load("panda").unwrap();
-    let joints = robot.joints.iter();
-    let flange = joints.fold(Placement::identity(), |frame, joint| {
-        frame.then(&joint.placement)
-    });
-    let flange = flange.then(&robot.flange);
-    let expected = Vector3::new(0.088, 0.0, 0.333 + 0.316 + 0.384 - 0.107);
-    assert!((flange.origin - expected).norm() < 1e-15, "{flange:?}");
-    let mut entries = robot
-        .joints
-        .iter()
-        .flat_map(|joint| joint.placement.rot_parent_child.iter());
-    assert!(
-        entries.all(|entry| entry.fract() == 0.0),
-        "a right angle is not exact"
     );
 }

@@ -65,7 +65,7 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ..Selection::default()
     };
     assert_eq!(
-        parse("t", &weightless, &selection).unwrap_err().to_string(),
+        refusal(&weightless, &selection),
         "t: link 'fore' is moved by joint 'elbow' but has no inertial data: give such links a mass with --link-mass"
     );
     // Between two joints that no arm can have.
@@ -78,24 +78,12 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         tip: Some("left"),
         ..Selection::default()
     };
-    let error = parse("t", &planar, &to_finger).unwrap_err().to_string();
+    let error = refusal(&planar, &to_finger);
     assert!(
         error.ends_with(" (--base 'upper' --tip 'hand' leave it out)"),
         "{error}"
     );
-    let missing = load(Path::new("/no/such.urdf"), &selection)
-        .unwrap_err()
-        .to_string();
-    assert!(
-        missing.starts_with("/no/such.urdf: cannot be read: "),
-        "{missing}"
-    );
-    assert!(
-        parse("t", "<robot", &selection)
-            .unwrap_err()
-            .to_string()
-            .starts_with("t: not a URDF or MJCF: ")
-    );
+    assert!(refusal("<robot", &selection).starts_with("t: not a URDF or MJCF: "));
 }
 
 #[test]
@@ -103,7 +91,7 @@ fn an_assumed_torque_limit_moves_friction_and_rotor() {
     let limit = |text: &str| {
         let text = text.replacen(" actuatorfrcrange=\"-40 50\"", "", 1);
         let text = text.replacen("forcerange=\"-35 35\"", "", 1);
-        let import = parse("t", &text, &Selection::default()).unwrap();
+        let import = imported(&text);
         import.robot.joints[0].limits.torque
     };
     // 9.81 (2·0.2 + 1·(0.4 + 0.1)) N·m, damping 1 at 2 rad/s, rotor 0.1 at 10 rad/s²; then 4 N·m of friction.
@@ -134,7 +122,7 @@ fn a_speed_that_friction_does_not_allow_is_no_limit() {
 #[test]
 fn inertia_without_mass_is_left_out_on_demand() {
     let massless = ARM.replacen("<mass value=\"0.5\"/>", "<mass value=\"0\"/>", 1);
-    let error = parse("t", &massless, &TO_HAND).unwrap_err().to_string();
+    let error = refusal(&massless, &TO_HAND);
     assert!(error.ends_with("(--repair leaves it out)"), "{error}");
     let repaired = Selection {
         repair: true,

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn a_written_arm_is_the_arm_again_with_the_names_of_its_links() {
-    let arm = parse("t", ARM, &TO_HAND).unwrap().robot;
+    let arm = to_hand(ARM);
     let motions = crate::dynamics::random_motions(2, 20);
     let torques = |robot: &Robot| -> Vec<Joints<2>> {
         let model = RigidBodies::new(robot);
@@ -13,7 +13,7 @@ fn a_written_arm_is_the_arm_again_with_the_names_of_its_links() {
     };
     let mut bare = arm.clone();
     for text in [write(&arm), mjcf(&arm)] {
-        let again = parse("t", &text, &Selection::default()).unwrap().robot;
+        let again = whole(&text);
         for (here, there) in torques(&arm).iter().zip(torques(&again)) {
             assert!((here - there).amax() < 1e-12, "{text}");
         }

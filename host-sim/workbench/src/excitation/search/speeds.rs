@@ -17,13 +17,13 @@ impl Search<'_> {
     /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
     /// them. Gravity, friction and inertia are those of the description.
     ///
-    /// Errors: [`ExcitationError::TooWeak`], naming the joints.
-    pub(super) fn adapt_speed(&mut self) -> Result<(), ExcitationError> {
+    /// Errors: a line that names the joints that need more however slow they are.
+    pub(super) fn adapt_speed(&mut self) -> Result<(), Refusal> {
         let full = self.objective.limits.clone();
         for torque_share in TORQUE_SHARES {
             self.objective.torque = torques(self.robot, torque_share);
             self.objective.limits.clone_from(&full);
-            self.origin.speed_share.fill(1.0);
+            self.speed_share.fill(1.0);
             for _ in 0..SLOWDOWNS {
                 let needed = self.least_torques();
                 let share = |j: usize| needed[j] / self.objective.torque[j];
@@ -38,8 +38,8 @@ impl Search<'_> {
                         (false, true) => SLOWER.sqrt(),
                         (false, false) => 1.0,
                     };
-                    self.origin.speed_share[j] *= factor;
-                    let speed = self.origin.speed_share[j];
+                    self.speed_share[j] *= factor;
+                    let speed = self.speed_share[j];
                     self.objective.limits[j].qd = limits.qd * speed;
                     self.objective.limits[j].qdd = limits.qdd * speed;
                 }
@@ -57,26 +57,25 @@ impl Search<'_> {
         });
         match weak.collect::<Vec<_>>() {
             weak if weak.is_empty() => Ok(()),
-            weak => Err(ExcitationError::TooWeak(weak)),
+            weak => {
+                let weak = weak.join("; ");
+                Err(refused(format!("{weak}: correct it with --torque-limits")))
+            }
         }
     }
 
     /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
     fn least_torques(&self) -> PerJoint<f64> {
-        let omega = TAU / self.config.period_s;
         let width = self.objective.rows.count();
         let joints = self.objective.rows.joints();
         let mut block = vec![0.0; joints * width];
         let mut best = (f64::INFINITY, PerJoint::repeat(joints, f64::INFINITY));
         for trial in 0..TRIALS {
-            let series = self.random_series(trial as u64);
+            let (period_s, series) = (self.config.period_s, self.random_series(trial as u64));
+            let excitation = Excitation::of(self.robot, period_s, self.config.seed, series);
             let mut most = PerJoint::repeat(joints, 0.0_f64);
             for k in 0..TRIAL_INSTANTS {
-                let t_s = self.config.period_s * k as f64 / TRIAL_INSTANTS as f64;
-                let mut state = Motion::zeros(joints);
-                for (j, series) in series.iter().enumerate() {
-                    (state.q[j], state.qd[j], state.qdd[j]) = series.at(t_s, omega);
-                }
+                let state = excitation.motion(period_s * k as f64 / TRIAL_INSTANTS as f64);
                 self.objective.rows.write(&state, SIGN_WIDTH, &mut block);
                 for (most, row) in most.iter_mut().zip(block.chunks_exact(width)) {
                     let parameters = self.objective.parameters.iter();

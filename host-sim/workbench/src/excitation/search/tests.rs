@@ -43,7 +43,7 @@ fn joints_slow_down_to_what_friction_leaves_and_a_weak_one_is_named() {
     let adapted = |robot: &Robot| {
         let mut search = Search::new(robot, &config).expect("a search");
         let found = search.adapt_speed();
-        (found, search.origin.speed_share)
+        (found, search.speed_share)
     };
     let mut robot = Robot::load("ur5").expect("built in");
     assert_eq!(adapted(&robot), (Ok(()), vec![1.0; 6]));

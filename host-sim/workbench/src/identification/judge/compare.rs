@@ -1,12 +1,15 @@
 //! Torques of a log against those of the description: signs, sizes, order of the joints, noise.
 
 use super::{
-    DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, ROWS,
-    SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
+    DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE,
+    SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
 };
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::Robot;
 use nalgebra::{DMatrix, DVector};
+
+/// Most rows on which other orders of the joints are tried.
+const SWAP_ROWS: usize = 300;
 
 /// Regression of one joint's torque on the description's link torque, friction and a rotor.
 #[derive(Clone, Copy)]
@@ -124,7 +127,7 @@ pub(super) fn compare(
         judgement.joints.push(JointCheck {
             position_rad: seen.position,
             speed_rad_s: seen.speed,
-            torque_rms_nm: (seen.power / f64::max(seen.rows, 1.0)).sqrt(),
+            torque_rms_nm: seen.rms(),
             noise_floor_nm: seen.noise() * gain,
             unexplained_ratio: own[joint].rest,
             scale_ratio: (told && own[joint].heavy).then_some(own[joint].scale),
@@ -253,7 +256,7 @@ fn order(
     rows: &[(Motion, PerJoint<f64>)],
     (own, extremes): (&[Explained], &[Extremes]),
 ) -> Option<String> {
-    let step = rows.len().div_ceil(ROWS / 2).max(1);
+    let step = rows.len().div_ceil(SWAP_ROWS).max(1);
     let rows: Vec<&(Motion, PerJoint<f64>)> = rows.iter().step_by(step).collect();
     // A torque of another sign or size than gravity's is no sound explanation.
     let cost = |explained: &Explained| {
@@ -290,14 +293,10 @@ fn order(
             if !(moved(a) && moved(b)) {
                 continue;
             }
-            let swap = |joint: usize| {
-                if joint == a {
-                    b
-                } else if joint == b {
-                    a
-                } else {
-                    joint
-                }
+            let swap = |joint: usize| match joint {
+                _ if joint == a => b,
+                _ if joint == b => a,
+                _ => joint,
             };
             let moved: Vec<Motion> = states
                 .iter()

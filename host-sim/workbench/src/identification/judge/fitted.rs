@@ -10,18 +10,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 /// Parameters of the description: base set, then viscous and Coulomb friction, all else zero.
 pub(in crate::identification) fn description(robot: &Robot, layout: &Layout) -> DVector<f64> {
     let mut theta = robot.base_parameters();
-    theta.extend(layout.parameters.iter().skip(layout.base).map(|parameter| {
-        let joint = parameter.friction.map_or(0, |(_, joint)| joint);
-        let friction = &robot.joints[joint].friction;
-        match parameter
-            .name
-            .trim_end_matches(|c: char| c.is_ascii_digit())
-        {
-            "Fv" => friction.viscous,
-            "Fc" => friction.coulomb,
-            _ => 0.0,
-        }
-    }));
+    let friction = layout.parameters.iter().skip(layout.base);
+    theta.extend(friction.map(|parameter| parameter.plain_friction(robot).unwrap_or(0.0)));
     DVector::from_vec(theta)
 }
 
@@ -42,11 +32,10 @@ pub(in crate::identification) fn after_fit(
         .diagonal()
         .map(|variance| ANALYTIC * variance.max(0.0).sqrt());
     for (place, parameter) in layout.parameters.iter().enumerate() {
-        let symbol = parameter
-            .name
-            .trim_end_matches(|c: char| c.is_ascii_digit());
+        let is_plain = parameter.friction.is_some_and(|(term, _)| term.is_plain());
+        let is_rotor = parameter.name.starts_with("Ia");
         let value = fit.theta[place];
-        if matches!(symbol, "Fv" | "Fc" | "Ia") && value < -DEVIATIONS * deviations[place] {
+        if (is_plain || is_rotor) && value < -DEVIATIONS * deviations[place] {
             judgement.find(
                 false,
                 format!(
@@ -136,8 +125,7 @@ fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<(f64, f64)> {
             };
             let body = Link {
                 mass: 1.0,
-                com: robot.flange.origin
-                    + robot.flange.rot_parent_child * Vector3::new(0.0, 0.0, height),
+                com: robot.flange.point(&Vector3::new(0.0, 0.0, height)),
                 inertia_com: Matrix3::identity() * 1e-4,
             };
             let body = Link::lumped(&[last.link, body]);

@@ -12,12 +12,13 @@ pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
+use super::dataset::Thinned;
 use super::log::Roughness;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
 use super::whole_log::WholeLog;
-use crate::dynamics::{Motion, PerJoint};
+use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use compare::compare;
 use delay::{Delay, delay};
@@ -25,7 +26,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 
 /// Most rows that are compared with the description.
-const ROWS: usize = 600;
+const ROWS: usize = 1199;
 /// Positions and torques this many times their limits are in other units.
 const BEYOND: f64 = 3.0;
 /// Gravity decides over sign and size where its RMS is this share of the torque limit.
@@ -108,14 +109,6 @@ impl Judgement {
     }
 }
 
-/// Rows of the logs that are compared.
-struct Sample {
-    rows: Vec<(Motion, PerJoint<f64>)>,
-    /// Every how many of the rows that count.
-    stride: usize,
-    seen: usize,
-}
-
 /// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
 #[derive(Clone, Copy, Default)]
 struct Extremes {
@@ -152,11 +145,7 @@ pub fn judge(
     if judgement.refuses() {
         return Ok(judgement);
     }
-    let mut sample = Sample {
-        rows: Vec::new(),
-        stride: 1,
-        seen: 0,
-    };
+    let mut sample = Thinned::new(ROWS);
     let mut sums = NormalEquations::new(&layout);
     let mut delays: Vec<Delay> = (0..joints).map(|_| Delay::default()).collect();
     let (mut gain, mut period_s) = (1.0, judgement.period_s);
@@ -172,7 +161,7 @@ pub fn judge(
                 let stride = own.stride();
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
-                    sample.add(prepared.states[row], tau);
+                    sample.push((prepared.states[row], tau));
                     for joint in 0..joints {
                         let x = prepared.columns(&layout, row, joint);
                         let qd = prepared.states[row].qd[joint];
@@ -200,28 +189,11 @@ pub fn judge(
             judgement.condition_number_equilibrated = Some(sums.condition_numbers(&layout).1);
         }
     }
-    compare(&mut judgement, robot, &sample.rows, &extremes, gain);
+    compare(&mut judgement, robot, &sample.kept, &extremes, gain);
     if !judgement.refuses() {
         delay(&mut judgement, &layout, &delays, period_s);
     }
     Ok(judgement)
-}
-
-impl Sample {
-    fn add(&mut self, state: Motion, tau: PerJoint<f64>) {
-        if self.seen.is_multiple_of(self.stride) {
-            self.rows.push((state, tau));
-        }
-        self.seen += 1;
-        if self.rows.len() >= 2 * ROWS {
-            let mut place = 0;
-            self.rows.retain(|_| {
-                place += 1;
-                place % 2 == 1
-            });
-            self.stride *= 2;
-        }
-    }
 }
 
 impl Extremes {
@@ -230,6 +202,11 @@ impl Extremes {
             position: (f64::INFINITY, f64::NEG_INFINITY),
             ..Self::default()
         }
+    }
+
+    /// RMS torque while the joint moves, N·m.
+    fn rms(&self) -> f64 {
+        (self.power / f64::max(self.rows, 1.0)).sqrt()
     }
 
     /// Noise of a row of the torque, N·m: the second difference of white noise has six times its variance.
@@ -313,10 +290,7 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         return;
     }
     let strong: Vec<_> = joints()
-        .filter(|(_, (joint, seen))| {
-            let rms = (seen.power / f64::max(seen.rows, 1.0)).sqrt();
-            rms > BEYOND * joint.limits.torque
-        })
+        .filter(|(_, (joint, seen))| seen.rms() > BEYOND * joint.limits.torque)
         .collect();
     if let Some((number, (joint, seen))) = strong.first() {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
@@ -335,22 +309,18 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         judgement.find(true, text);
     }
     for (number, (_, seen)) in joints() {
-        let share = |count: f64| 100.0 * count / f64::max(seen.rows, 1.0);
-        if share(seen.spikes) > 0.5 {
-            let text = format!(
-                "joint {}: spikes of the torque in {:.1} % of the rows",
-                number + 1,
-                share(seen.spikes)
-            );
-            judgement.find(false, text);
-        }
-        if share(seen.at_top) > 1.0 {
-            let text = format!(
-                "joint {}: at its torque limit in {:.1} % of the rows",
-                number + 1,
-                share(seen.at_top)
-            );
-            judgement.find(false, text);
+        for (count, most, problem) in [
+            (seen.spikes, 0.5, "spikes of the torque"),
+            (seen.at_top, 1.0, "at its torque limit"),
+        ] {
+            let percent = 100.0 * count / f64::max(seen.rows, 1.0);
+            if percent > most {
+                let text = format!(
+                    "joint {}: {problem} in {percent:.1} % of the rows",
+                    number + 1
+                );
+                judgement.find(false, text);
+            }
         }
     }
 }

@@ -1,12 +1,10 @@
 //! The file of a path: TOML, units in the names of the fields. `docs/identification.md` describes the format.
 
-use super::{Curve, Way};
-use crate::kinematics::InverseError;
+use super::{Curve, Shape};
+use crate::Refusal;
 use crate::robot::Placement;
-use crate::trajectory::BeyondLimits;
 use nalgebra::Vector3;
 use serde::Deserialize;
-use std::fmt;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -59,7 +57,10 @@ pub(super) struct Path {
 /// One move from where the last one ended, from rest to rest.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Move {
-    pub(super) way: Way,
+    /// Its kind in the file.
+    pub(super) kind: &'static str,
+    /// Points of the file on its way.
+    pub(super) points: Vec<Placement>,
     pub(super) curve: Curve,
 }
 
@@ -67,10 +68,10 @@ pub(super) struct Move {
 const LONGEST_S: f64 = 3600.0;
 
 /// Reads and checks a path.
-pub(super) fn parse(text: &str) -> Result<Path, CartesianError> {
+pub(super) fn parse(text: &str) -> Result<Path, Refusal> {
     let raw: PathFile = toml::from_str(text).map_err(|error| {
         let (line, reason) = crate::files::toml_complaint(text, &error);
-        CartesianError::Syntax { line, reason }
+        Refusal(format!("line {line}: {reason}"))
     })?;
     let tool = match raw.tool {
         Some(pose) => pose.placed("tool", &Placement::identity())?,
@@ -78,13 +79,13 @@ pub(super) fn parse(text: &str) -> Result<Path, CartesianError> {
     };
     let start = raw.start.placed("start", &Placement::identity())?;
     if raw.start.rpy_rad.is_none() {
-        return Err(field("start.rpy_rad", "is missing"));
+        return Err(Refusal::of("start.rpy_rad", "is missing"));
     }
     if let Some(near) = &raw.near_q_rad {
         finite("near_q_rad", near)?;
     }
     if raw.moves.is_empty() {
-        return Err(field("move", "there is none"));
+        return Err(Refusal::of("move", "there is none"));
     }
     let mut moves = Vec::with_capacity(raw.moves.len());
     let mut pose = start;
@@ -94,31 +95,41 @@ pub(super) fn parse(text: &str) -> Result<Path, CartesianError> {
         let duration_s = given.duration_s;
         if !(duration_s > 0.0 && duration_s <= LONGEST_S) {
             let problem = format!("is {duration_s}, must be above 0 and at most {LONGEST_S}");
-            return Err(field(&format!("{at}.duration_s"), &problem));
+            return Err(Refusal::of(at + ".duration_s", problem));
         }
-        let way = match (&given.line, &given.circle, &given.via) {
+        let (kind, points, shape) = match (&given.line, &given.circle, &given.via) {
             (Some(end), None, None) => {
-                pose = end.placed(&format!("{at}.line"), &pose)?;
-                Way::Line(pose)
+                let end = end.placed(&format!("{at}.line"), &from)?;
+                ("line", Vec::new(), Shape::line(&from, &end))
             }
-            (None, Some(circle), None) => circle.way(&at)?,
+            (None, Some(circle), None) => {
+                circle.check(&format!("{at}.circle"))?;
+                ("circle", Vec::new(), circle.shape(&from))
+            }
             (None, None, Some(points)) => {
-                let mut placed = Vec::with_capacity(points.len());
+                let mut placed: Vec<Placement> = Vec::with_capacity(points.len());
                 for (number, point) in points.iter().enumerate() {
-                    pose = point.placed(&format!("{at}.via[{}]", number + 1), &pose)?;
-                    placed.push(pose);
+                    let at = format!("{at}.via[{}]", number + 1);
+                    let point = point.placed(&at, placed.last().unwrap_or(&from))?;
+                    placed.push(point);
                 }
-                if placed.is_empty() {
-                    return Err(field(&format!("{at}.via"), "there is no point"));
-                }
-                Way::Via(placed)
+                let shape = Shape::via(&from, &placed, duration_s);
+                ("via", placed, shape)
             }
-            _ => return Err(field(&at, "give exactly one of line, circle, via")),
+            _ => return Err(Refusal::of(at, "give exactly one of line, circle, via")),
         };
-        let curve = Curve::new(&way, &from, duration_s)
-            .map_err(|problem| field(&format!("{at}.{}", way.name()), problem))?;
+        let shape = shape.map_err(|problem| Refusal::of(format!("{at}.{kind}"), problem))?;
+        let curve = Curve {
+            from,
+            duration_s,
+            shape,
+        };
         pose = curve.end();
-        moves.push(Move { way, curve });
+        moves.push(Move {
+            kind,
+            points,
+            curve,
+        });
     }
     Ok(Path {
         tool,
@@ -130,7 +141,7 @@ pub(super) fn parse(text: &str) -> Result<Path, CartesianError> {
 
 impl PoseFile {
     /// The pose; its orientation is that of `before` where it gives none.
-    fn placed(&self, at: &str, before: &Placement) -> Result<Placement, CartesianError> {
+    fn placed(&self, at: &str, before: &Placement) -> Result<Placement, Refusal> {
         finite(&format!("{at}.xyz_m"), &self.xyz_m)?;
         let rpy = self.rpy_rad.unwrap_or_default();
         finite(&format!("{at}.rpy_rad"), &rpy)?;
@@ -143,99 +154,27 @@ impl PoseFile {
 }
 
 impl CircleFile {
-    fn way(&self, at: &str) -> Result<Way, CartesianError> {
-        finite(&format!("{at}.circle.centre_m"), &self.centre_m)?;
-        finite(&format!("{at}.circle.normal"), &self.normal)?;
-        finite(&format!("{at}.circle.turn_rad"), &[self.turn_rad])?;
-        let normal = Vector3::from(self.normal);
-        if normal.norm() < 1e-6 {
-            return Err(field(&format!("{at}.circle.normal"), "has no direction"));
+    fn check(&self, at: &str) -> Result<(), Refusal> {
+        finite(&format!("{at}.centre_m"), &self.centre_m)?;
+        finite(&format!("{at}.normal"), &self.normal)?;
+        finite(&format!("{at}.turn_rad"), &[self.turn_rad])?;
+        if Vector3::from(self.normal).norm() < 1e-6 {
+            return Err(Refusal::of(format!("{at}.normal"), "has no direction"));
         }
-        Ok(Way::Circle {
-            centre: self.centre_m.into(),
-            normal: normal.normalize(),
-            turn: self.turn_rad,
-            carry: self.carry,
-        })
+        Ok(())
+    }
+
+    /// The circle from the pose `from` on.
+    fn shape(&self, from: &Placement) -> Result<Shape, &'static str> {
+        let axis = Vector3::from(self.normal).normalize();
+        Shape::circle(from, self.centre_m.into(), axis, self.turn_rad, self.carry)
     }
 }
 
-fn field(field: &str, problem: &str) -> CartesianError {
-    CartesianError::Field {
-        field: field.to_owned(),
-        problem: problem.to_owned(),
-    }
-}
-
-fn finite(name: &str, values: &[f64]) -> Result<(), CartesianError> {
+fn finite(name: &str, values: &[f64]) -> Result<(), Refusal> {
     if values.iter().all(|value| value.is_finite()) {
         Ok(())
     } else {
-        Err(field(name, "is not a finite number"))
+        Err(Refusal::of(name, "is not a finite number"))
     }
-}
-
-/// Position of an error on the path.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Spot {
-    /// The waypoint or move, as the file counts: `start`, `move 2 (circle)`, `move 3 (via), point 2`.
-    pub waypoint: String,
-    /// Time on the path, s; `None` for the waypoint itself.
-    pub t_s: Option<f64>,
-    /// Target of the tool there, base frame, m.
-    pub target: Vector3<f64>,
-}
-
-impl fmt::Display for Spot {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.waypoint)?;
-        if let Some(t_s) = self.t_s {
-            write!(f, " at {t_s:.3} s")?;
-        }
-        let [x, y, z] = self.target.into();
-        write!(f, ", tool at ({x:.3}, {y:.3}, {z:.3}) m")
-    }
-}
-
-/// Reason for which a path of the tool cannot be played.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum CartesianError {
-    /// The file is no path.
-    #[error("line {line}: {reason}")]
-    Syntax {
-        /// Line, from 1.
-        line: usize,
-        /// First complaint of the parser.
-        reason: String,
-    },
-    /// A value is missing or makes no sense.
-    #[error("{field}: {problem}")]
-    Field {
-        /// The field, for example `move[2].duration_s`, moves from 1.
-        field: String,
-        /// Reason.
-        problem: String,
-    },
-    /// The robot has another number of joints than expected.
-    #[error("the robot has not {expected} joints")]
-    Joints {
-        /// Joints expected.
-        expected: usize,
-    },
-    /// No joint positions put the tool there.
-    #[error("{spot}: {error}")]
-    Kinematics {
-        /// Where.
-        spot: Spot,
-        /// Why.
-        error: InverseError,
-    },
-    /// The joints could, but not within their limits.
-    #[error("{spot}: {error}")]
-    Limits {
-        /// Where.
-        spot: Spot,
-        /// Which joint.
-        error: BeyondLimits,
-    },
 }

@@ -6,42 +6,14 @@
 mod file;
 mod plan;
 
-use crate::kinematics::{Twist, rotation_vector};
+use crate::kinematics::{Twist, rotation_vector, stacked};
 use crate::robot::Placement;
 use crate::trajectory::via::ViaPath;
-pub use file::{CartesianError, Spot};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3, Vector6};
 pub use plan::plan;
 
 /// A move may turn the tool this far from where it started, rad: half a turn has two ways round.
 const MOST_TURN: f64 = 3.0;
-
-/// The way of a move.
-#[derive(Clone, Debug, PartialEq)]
-enum Way {
-    /// Straight, turning about one axis.
-    Line(Placement),
-    /// About an axis through `centre` along `normal` (length 1), by `turn` rad; `carry` turns the tool along.
-    Circle {
-        centre: Vector3<f64>,
-        normal: Vector3<f64>,
-        turn: f64,
-        carry: bool,
-    },
-    /// Through points at even times without stopping.
-    Via(Vec<Placement>),
-}
-
-impl Way {
-    /// Its name in the file.
-    fn name(&self) -> &'static str {
-        match self {
-            Self::Line(_) => "line",
-            Self::Circle { .. } => "circle",
-            Self::Via(_) => "via",
-        }
-    }
-}
 
 /// Where the tool is at an instant, and how it moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,8 +35,9 @@ struct Curve {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Shape {
-    /// Position, m, then rotation vector, rad: both from the start.
+    /// Straight, turning about one axis. Position, m, then rotation vector, rad: both from the start.
     Line(Vector6<f64>),
+    /// About an axis through `centre` along `axis` (length 1), by `turn` rad; `carry` turns the tool along.
     Circle {
         centre: Vector3<f64>,
         arm: Vector3<f64>,
@@ -72,61 +45,60 @@ enum Shape {
         turn: f64,
         carry: bool,
     },
+    /// Through points at even times without stopping.
     Via(ViaPath<6>),
 }
 
-impl Curve {
-    /// The curve of `way` from the pose `from`.
-    ///
-    /// Errors: what makes it no curve.
-    fn new(way: &Way, from: &Placement, duration_s: f64) -> Result<Self, &'static str> {
-        let step = |to: &Placement| -> Result<Vector6<f64>, &'static str> {
-            let turn = rotation_vector(&(to.rot_parent_child * from.rot_parent_child.transpose()));
-            if turn.norm() > MOST_TURN {
-                return Err(
-                    "turns the tool by more than 3 rad from where the move starts: use two moves",
-                );
-            }
-            let way = to.origin - from.origin;
-            Ok(Vector6::new(way.x, way.y, way.z, turn.x, turn.y, turn.z))
-        };
-        let shape = match way {
-            Way::Line(to) => Shape::Line(step(to)?),
-            Way::Circle {
-                centre,
-                normal,
-                turn,
-                carry,
-            } => {
-                let out = from.origin - centre;
-                let along = normal * normal.dot(&out);
-                let arm = out - along;
-                if arm.norm() < 1e-6 {
-                    return Err("the move starts on the axis: there is no radius");
-                }
-                Shape::Circle {
-                    centre: centre + along,
-                    arm,
-                    axis: *normal,
-                    turn: *turn,
-                    carry: *carry,
-                }
-            }
-            Way::Via(points) => {
-                let mut steps = vec![Vector6::zeros()];
-                for point in points {
-                    steps.push(step(point)?);
-                }
-                Shape::Via(ViaPath::through(&steps, duration_s))
-            }
-        };
-        Ok(Self {
-            from: *from,
-            duration_s,
-            shape,
+/// Position and rotation vector of `to` from the pose `from`.
+fn step(from: &Placement, to: &Placement) -> Result<Vector6<f64>, &'static str> {
+    let turn = rotation_vector(&(to.rot_parent_child * from.rot_parent_child.transpose()));
+    if turn.norm() > MOST_TURN {
+        return Err("turns the tool by more than 3 rad from where the move starts: use two moves");
+    }
+    Ok(stacked(&(to.origin - from.origin), &turn))
+}
+
+/// Errors of a shape: what makes it none.
+impl Shape {
+    fn line(from: &Placement, to: &Placement) -> Result<Self, &'static str> {
+        Ok(Self::Line(step(from, to)?))
+    }
+
+    fn circle(
+        from: &Placement,
+        centre: Vector3<f64>,
+        axis: Vector3<f64>,
+        turn: f64,
+        carry: bool,
+    ) -> Result<Self, &'static str> {
+        let out = from.origin - centre;
+        let along = axis * axis.dot(&out);
+        let arm = out - along;
+        if arm.norm() < 1e-6 {
+            return Err("the move starts on the axis: there is no radius");
+        }
+        Ok(Self::Circle {
+            centre: centre + along,
+            arm,
+            axis,
+            turn,
+            carry,
         })
     }
 
+    fn via(from: &Placement, points: &[Placement], duration_s: f64) -> Result<Self, &'static str> {
+        if points.is_empty() {
+            return Err("there is no point");
+        }
+        let mut steps = vec![Vector6::zeros()];
+        for point in points {
+            steps.push(step(from, point)?);
+        }
+        Ok(Self::Via(ViaPath::through(&steps, duration_s)))
+    }
+}
+
+impl Curve {
     /// Pose at the end.
     fn end(&self) -> Placement {
         self.at(self.duration_s).pose
@@ -171,8 +143,8 @@ impl Curve {
                         rot_parent_child: rot,
                         origin: centre + arm,
                     },
-                    twist: Twist::new(v.x, v.y, v.z, omega.x, omega.y, omega.z),
-                    rate: Twist::new(a.x, a.y, a.z, alpha.x, alpha.y, alpha.z),
+                    twist: stacked(&v, &omega),
+                    rate: stacked(&a, &alpha),
                 }
             }
         }

@@ -1,9 +1,10 @@
 //! From moves of the tool to motion of the joints, tick by tick.
 
-use super::file::{self, CartesianError, Path, Spot};
-use super::{Point, Way};
+use super::Point;
+use super::file::{self, Move, Path};
+use crate::Refusal;
 use crate::dynamics::{Joints, State};
-use crate::kinematics::{Inverse, InverseError, Twist};
+use crate::kinematics::Inverse;
 use crate::robot::{Placement, Robot};
 use crate::trajectory::within;
 
@@ -16,31 +17,27 @@ const JUMP_RAD: f64 = 0.02;
 /// The start takes the solution nearest to `near_q_rad` (else to the middle of the ranges); from there on the branch is
 /// the one that goes on, ranges of the joints or not. Every waypoint is looked at before the first tick.
 ///
-/// Errors: [`CartesianError`], naming the field, or the waypoint and what is wrong there.
+/// Errors: a line that names the field, or the waypoint and what is wrong there.
 pub fn plan<const N: usize>(
     robot: &Robot,
     text: &str,
     period_s: f64,
-) -> Result<Vec<(f64, State<N>)>, CartesianError> {
+) -> Result<Vec<(f64, State<N>)>, Refusal> {
     let path = file::parse(text)?;
-    let inverse =
-        Inverse::<N>::new(robot, &path.tool).ok_or(CartesianError::Joints { expected: N })?;
+    let inverse = Inverse::<N>::new(robot, &path.tool)
+        .ok_or_else(|| Refusal(format!("the robot has not {N} joints")))?;
     let near = near(robot, &path)?;
-    let failed = |waypoint: String, t_s: Option<f64>, pose: &Placement, error: InverseError| {
-        let spot = Spot {
-            waypoint,
-            t_s,
-            target: pose.origin,
-        };
-        CartesianError::Kinematics { spot, error }
+    let refused = |waypoint: String, pose: &Placement, reason: Refusal| {
+        let [x, y, z] = pose.origin.into();
+        let tool = format!("tool at ({x:.3}, {y:.3}, {z:.3}) m");
+        Refusal::of(format!("{waypoint}, {tool}"), reason)
     };
     let q = inverse
         .nearest(&path.start, &near)
-        .map_err(|error| failed("start".to_owned(), None, &path.start, error))?;
+        .map_err(|reason| refused("start".to_owned(), &path.start, reason))?;
     for (waypoint, pose) in waypoints(&path) {
-        if let Err(error) = inverse.solutions(&pose, &q) {
-            return Err(failed(waypoint, None, &pose, error));
-        }
+        let solutions = inverse.solutions(&pose, &q);
+        solutions.map_err(|reason| refused(waypoint, &pose, reason))?;
     }
     let ends: Vec<f64> = path
         .moves
@@ -61,18 +58,11 @@ pub fn plan<const N: usize>(
             .min(path.moves.len() - 1);
         let step = &path.moves[number];
         let begun = ends[number] - step.curve.duration_s;
-        let Point { pose, twist, rate } = step.curve.at(t_s - begun);
-        let here = || name(number, &step.way);
-        let state = at(&inverse, &pose, &twist, &rate, &predicted)
-            .map_err(|error| failed(here(), Some(t_s), &pose, error))?;
-        within(robot, t_s, &state).map_err(|error| CartesianError::Limits {
-            spot: Spot {
-                waypoint: here(),
-                t_s: None,
-                target: pose.origin,
-            },
-            error,
-        })?;
+        let point = step.curve.at(t_s - begun);
+        let here = name(number, step);
+        let state = at(&inverse, &point, &predicted)
+            .map_err(|reason| refused(format!("{here} at {t_s:.3} s"), &point.pose, reason))?;
+        within(robot, t_s, &state).map_err(|reason| refused(here, &point.pose, reason))?;
         predicted = state.q + (state.qd + state.qdd * (0.5 * period_s)) * period_s;
         samples.push((t_s, state));
     }
@@ -81,25 +71,21 @@ pub fn plan<const N: usize>(
 
 fn at<const N: usize>(
     inverse: &Inverse<N>,
-    pose: &Placement,
-    twist: &Twist,
-    rate: &Twist,
+    point: &Point,
     predicted: &Joints<N>,
-) -> Result<State<N>, InverseError> {
-    let q = inverse.onwards(pose, predicted, JUMP_RAD)?;
-    let (qd, qdd) = inverse
-        .chain()
-        .joint_motion(&q, twist, rate)
-        .ok_or_else(|| inverse.singular(&q))?;
+) -> Result<State<N>, Refusal> {
+    let q = inverse.onwards(&point.pose, predicted, JUMP_RAD)?;
+    let motion = inverse.chain().joint_motion(&q, &point.twist, &point.rate);
+    let (qd, qdd) = motion.ok_or_else(|| inverse.singular(&q))?;
     Ok(State { q, qd, qdd })
 }
 
-fn near<const N: usize>(robot: &Robot, path: &Path) -> Result<Joints<N>, CartesianError> {
+fn near<const N: usize>(robot: &Robot, path: &Path) -> Result<Joints<N>, Refusal> {
     match &path.near_q {
-        Some(near) if near.len() != N => Err(CartesianError::Field {
-            field: "near_q_rad".to_owned(),
-            problem: format!("{} values for {N} joints", near.len()),
-        }),
+        Some(near) if near.len() != N => {
+            let problem = format!("{} values for {N} joints", near.len());
+            Err(Refusal::of("near_q_rad", problem))
+        }
         Some(near) => Ok(Joints::from_column_slice(near)),
         None => Ok(Joints::from_iterator(robot.joints.iter().map(|joint| {
             let (low, high) = joint.limits.position;
@@ -108,24 +94,20 @@ fn near<const N: usize>(robot: &Robot, path: &Path) -> Result<Joints<N>, Cartesi
     }
 }
 
-fn name(number: usize, way: &Way) -> String {
-    format!("move {} ({})", number + 1, way.name())
+fn name(number: usize, step: &Move) -> String {
+    format!("move {} ({})", number + 1, step.kind)
 }
 
 /// The poses that the file names, after the start.
 fn waypoints(path: &Path) -> Vec<(String, Placement)> {
     let mut all = Vec::new();
     for (number, step) in path.moves.iter().enumerate() {
-        let name = name(number, &step.way);
-        match &step.way {
-            Way::Via(points) => all.extend(
-                points
-                    .iter()
-                    .enumerate()
-                    .map(|(point, pose)| (format!("{name}, point {}", point + 1), *pose)),
-            ),
-            _ => all.push((format!("{name}, end"), step.curve.end())),
+        let name = name(number, step);
+        if step.points.is_empty() {
+            all.push((format!("{name}, end"), step.curve.end()));
         }
+        let points = (1..).zip(&step.points);
+        all.extend(points.map(|(point, pose)| (format!("{name}, point {point}"), *pose)));
     }
     all
 }
