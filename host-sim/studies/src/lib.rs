@@ -20,7 +20,6 @@ use foretorque_link::bank::{BankError, NETWORK_SEED, ParameterBank};
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::excitation::ExcitationError;
 use foretorque_workbench::identification::IdentifyError;
-use foretorque_workbench::report::ReportError;
 use foretorque_workbench::report::page::Page;
 use foretorque_workbench::report::plot::PlotError;
 use foretorque_workbench::robot::{Robot, RobotError};
@@ -68,9 +67,6 @@ pub enum StudyError {
     /// A file that is no JSON of this program.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
-    /// A report that cannot be written.
-    #[error(transparent)]
-    Report(#[from] ReportError),
     /// A robot that cannot be loaded.
     #[error(transparent)]
     Robot(#[from] RobotError),
@@ -87,7 +83,7 @@ impl From<BankError> for StudyError {
 
 impl From<PlotError> for StudyError {
     fn from(error: PlotError) -> Self {
-        Self::Report(error.into())
+        Self::File(error.into())
     }
 }
 
