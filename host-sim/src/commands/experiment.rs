@@ -216,8 +216,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         Some(Study::Demo(arguments)) => run_demo(arguments),
         Some(Study::Efficiency(own)) => own.out.study(|progress| {
             let draws = own.draws as usize;
-            let outcome = efficiency::run(&own.out.out, own.seed, draws, progress)?;
-            Ok(Some(outcome))
+            Ok(efficiency::run(&own.out.out, own.seed, draws, progress)?)
         }),
         Some(Study::Excitation(own)) => {
             let (quick, seed) = (own.jobs.quick, own.jobs.seed);
@@ -229,10 +228,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         Some(Study::Paper(arguments)) => run_paper(arguments),
         Some(Study::RealUr5(own)) => own
             .out
-            .study(|progress| Ok(Some(real_ur5::run(&own.logs, own.seed, progress)?))),
+            .study(|progress| Ok(real_ur5::run(&own.logs, own.seed, progress)?)),
         Some(Study::ReplayReal(own)) => own
             .out
-            .study(|progress| Ok(Some(replay::real_ur5(&own.logs, own.seed, progress)?))),
+            .study(|progress| Ok(replay::real_ur5(&own.logs, own.seed, progress)?)),
         Some(Study::Soak(arguments)) => run_soak(arguments),
         None => Err(unusable("which experiment? `experiment --list` shows them")),
     }
@@ -252,17 +251,17 @@ fn list() -> Result<(), Failure> {
 impl Out {
     fn study<R: Serialize>(
         &self,
-        work: impl FnOnce(Progress<'_>) -> Result<Option<Outcome<R>>, Failure>,
+        work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, Failure>,
     ) -> Result<(), Failure> {
         study(&self.out, &self.snapshot, work)
     }
 }
 
-/// Runs `work` and writes its report into `out`, if it has one.
+/// Runs `work` and writes its report into `out`.
 fn study<R: Serialize>(
     out: &Path,
     snapshot: &Snapshot,
-    work: impl FnOnce(Progress<'_>) -> Result<Option<Outcome<R>>, Failure>,
+    work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, Failure>,
 ) -> Result<(), Failure> {
     // A place that cannot be written or compared is refused before the work.
     snapshot.check()?;
@@ -270,9 +269,6 @@ fn study<R: Serialize>(
     let bar = Bar::new();
     let outcome = work(&|stage, done, all| bar.show(stage, done, all))?;
     drop(bar);
-    let Some(outcome) = outcome else {
-        return Ok(());
-    };
     let page = files.finish(&outcome.report, &outcome.page)?;
     show!("{}", outcome.text.trim_end())?;
     show!("report {}", page.display())?;
@@ -295,7 +291,8 @@ impl Jobs {
             None => Records::Compute,
         };
         study(&out, &self.snapshot, |progress| {
-            Ok(work(&records, &out, progress)?)
+            let outcome = work(&records, &out, progress)?;
+            outcome.ok_or_else(|| unusable("the records are only written"))
         })
     }
 }
@@ -316,7 +313,6 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
     };
     let choice = &arguments.board;
     arguments.out.study(|progress| {
-        let robot = Robot::load(Ur5::NAME)?;
         let mut bulk = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let mut usart = match choice {
             BoardChoice::Qemu => {
@@ -326,9 +322,7 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
         };
         let boards = (&mut bulk, usart.as_mut());
         let names = (choice.to_string(), choice.toolchain(Ur5::NAME));
-        let outcome =
-            demo::run::<Ur5, JOINTS, PARAMETERS>(&robot, &config, names, boards, progress)?;
-        Ok(Some(outcome))
+        Ok(demo::run(&config, names, boards, progress)?)
     })
 }
 
@@ -345,7 +339,7 @@ fn run_learning(arguments: &Learning) -> Result<(), Failure> {
         quick: arguments.quick,
     };
     study(out, &arguments.snapshot, |progress| {
-        Ok(Some(learning::run(&config, progress)?))
+        Ok(learning::run(&config, progress)?)
     })
 }
 
@@ -367,7 +361,7 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
     let choice = &arguments.board;
     arguments.out.study(|progress| {
         if *choice == BoardChoice::Native {
-            return Ok(Some(soak::run(&config, None, progress)?));
+            return Ok(soak::run(&config, None, progress)?);
         }
         let mut board = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
@@ -379,6 +373,6 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
             )),
             other => other.into(),
         })?;
-        Ok(Some(soak::run(&config, Some(&mut board), progress)?))
+        Ok(soak::run(&config, Some(&mut board), progress)?)
     })
 }
