@@ -24,7 +24,7 @@ fn client(name: &str) -> PathBuf {
 /// * `command` the client, given the port of the board
 fn driven(log: &Path, command: impl FnOnce(&str) -> Command) -> Vec<Vec<f64>> {
     let native = Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable");
-    let board = PlayedBoard::start(native, <[u8]>::to_vec);
+    let board = PlayedBoard::start(native);
     let mut command = command(&board.port);
     let output = command.output().expect("the client starts");
     let stderr = String::from_utf8_lossy(&output.stderr);

@@ -1,6 +1,6 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, its certificate is true, and a board plays it.
 
-use crate::program::{directory, refused, succeeds, text, write};
+use crate::program::{directory, succeeds, text, write};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -120,37 +120,6 @@ fn each_criterion_is_lower_where_it_was_asked_for() {
     assert!(error.predicted_nrmse_percent < condition.predicted_nrmse_percent);
     // The same path is well conditioned in one set of frames and badly in another.
     assert!(error.condition_number_board < error.condition_number_dh);
-}
-
-#[test]
-fn what_no_excitation_can_keep_ends_with_one_line() {
-    let directory = directory("excite");
-    let ur5 = include_str!("../robots/ur5.toml");
-    // Of the shoulder, whose torque against gravity no path of this arm keeps below 1 N·m.
-    let limit = "torque_nm = 150";
-    let parts: Vec<&str> = ur5.splitn(3, limit).collect();
-    let weak = format!("{}{limit}{}torque_nm = 1{}", parts[0], parts[1], parts[2]);
-    write(directory.join("weak.toml"), weak);
-    let no_path = "no path keeps all limits";
-    let badly_conditioned = "no path keeps all limits; the best one has condition number";
-    for (arguments, message) in [
-        ("ur5 --criterion e-optimal", "invalid value 'e-optimal'"),
-        ("ur5 --range-rad 0", "--range-rad is 0, must be positive"),
-        // The arm cannot stand in a table up to its shoulder.
-        ("ur5 --table-m 0.5", no_path),
-        ("ur5 --condition-limit 5", badly_conditioned),
-        ("ur5 --improve no_such_file.json", "no_such_file.json"),
-        ("weak.toml --range-rad 3", "even where it hardly moves"),
-        (
-            "ur5 --range-rad 0.001",
-            "within these limits torque cannot see all base parameters",
-        ),
-        ("ur5 --period-s 0.3 --condition-limit 60", badly_conditioned),
-    ] {
-        let search = "excite --starts 1 --iterations 8 --out x --robot";
-        refused(&directory, &format!("{search} {arguments}"), message);
-        assert!(!directory.join("x").exists(), "{arguments} leaves files");
-    }
 }
 
 #[test]

@@ -58,10 +58,9 @@ impl Network for Attended {
         self.guard = None;
         let outcome = match self.simulated {
             true => self.network.ask(ask),
-            false => prompt(&request(ask)).map_err(|error| BusError::Gone {
-                name: "terminal".to_owned(),
-                error,
-            }),
+            false => {
+                prompt(&request(ask)).map_err(|error| BusError::Gone("terminal".to_owned(), error))
+            }
         };
         self.guard = Some(SignalGuard::begin());
         outcome

@@ -1,7 +1,7 @@
 use super::arm::{ArmOptions, with_rotors};
 use super::attended::{Attended, prompt};
 use super::boards::on_arm;
-use super::disturbances::Triple;
+use super::disturbances::triple;
 use super::drive::wired;
 use super::terminal::show;
 use super::{Failure, arguments as of, drive, excite, identify, positive, unusable};
@@ -39,9 +39,10 @@ pub(super) struct Arguments {
         long,
         value_name = "X,Y,Z",
         default_value = "0,0,0",
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        value_parser = triple
     )]
-    weight_com: Triple,
+    weight_com: [f64; 3],
     /// Seed of the simulated arm and of the search for the excitation
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -131,7 +132,7 @@ impl Arguments {
         let seed = self.seed.to_string();
         match name {
             StepName::Drive => {
-                if self.bus != BusChoice::Sim {
+                if !self.bus.is_simulated() {
                     prompt("the arm moves through its excitation next: keep clear")?;
                 }
                 let text = std::fs::read_to_string(&path).map_err(|error| {
@@ -200,7 +201,7 @@ impl Arguments {
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
-        let network: Box<dyn Network> = if arguments.bus == BusChoice::Sim {
+        let network: Box<dyn Network> = if arguments.bus.is_simulated() {
             let truth = robot.perturbed(arguments.seed, &Perturbation::PLANT);
             let plant = plant_config(PlantConfig::default());
             let plant = Plant::<N>::new(&truth, plant, arguments.seed);
@@ -216,7 +217,7 @@ impl Arguments {
         let player = BusPlayer::<A, _, N, P>::new(
             config,
             set,
-            Attended::new(network, arguments.bus == BusChoice::Sim),
+            Attended::new(network, arguments.bus.is_simulated()),
         )?;
         arguments.steps(Commissioning::new(player, model, rest), wanted)
     }
@@ -241,10 +242,8 @@ impl Arguments {
                 ))
             })?;
         }
-        arm.weight = self.weight_kg.map(|mass| {
-            let Triple(com) = self.weight_com;
-            Payload::cube(mass, com, 0.0, 0.0).body
-        });
+        let weight = |mass| Payload::cube(mass, self.weight_com, 0.0, 0.0).body;
+        arm.weight = self.weight_kg.map(weight);
         let mut outcome = Ok(());
         for (name, step) in wanted {
             if *step == Step::Weight && arm.weight.is_none() {

@@ -1,31 +1,31 @@
 //! Options for events on the simulated arm and faults of its reports.
 
-use super::{Failure, finite, not_negative, positive, share, unusable};
+use super::{Failure, finite, fitting, not_negative, positive, share, unusable};
 use clap::Args;
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
 use std::ops::Range;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 /// Options of `simulate` and `run`.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Disturbances")]
 pub(super) struct DisturbanceArguments {
     /// A payload of so many kg is in the hand from T1 to T2, s; may be given several times
-    #[arg(long, value_name = "KG@T1..T2")]
-    payload: Vec<During<Mass>>,
+    #[arg(long, value_name = "KG@T1..T2", value_parser = held)]
+    payload: Vec<During<f64>>,
     /// Centre of mass of the payloads in the frame of the last link, m
     #[arg(
         long,
         value_name = "X,Y,Z",
         default_value = "0,0,0.1323",
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        value_parser = triple
     )]
-    payload_com: Triple,
+    payload_com: [f64; 3],
     /// A torque from outside, N·m, on joint J (from 1) from T1 to T2, s; may be given several times
-    #[arg(long, value_name = "J:NM@T1..T2")]
-    push: Vec<During<JointTorque>>,
+    #[arg(long, value_name = "J:NM@T1..T2", value_parser = pushed)]
+    push: Vec<During<(usize, f64)>>,
     /// Growth of viscous friction, share in ten minutes
     #[arg(long, default_value_t = 0.3, allow_hyphen_values = true, value_parser = growth)]
     viscous_drift: f64,
@@ -65,90 +65,54 @@ struct During<T> {
     time_s: Range<f64>,
 }
 
-/// A mass, kg.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Mass(f64);
-
-impl FromStr for Mass {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let mass = positive(text).map_err(|error| format!("a mass {error}"))?;
-        Ok(Self(mass))
-    }
-}
-
-/// A torque on one joint.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct JointTorque {
-    /// The joint, from 1.
-    joint: usize,
-    torque_nm: f64,
-}
-
-/// Three numbers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Triple(pub(super) [f64; 3]);
-
 /// A growth that leaves something of what grows.
 fn growth(text: &str) -> Result<f64, String> {
-    let value = finite(text)?;
-    let least = || "must be more than -1".to_owned();
-    (value > -1.0).then_some(value).ok_or_else(least)
+    fitting(text, |value| value > -1.0, "must be more than -1")
 }
 
 fn not_zero(text: &str) -> Result<f64, String> {
-    let value = finite(text)?;
-    let zero = || "must be a number other than 0".to_owned();
-    (value != 0.0).then_some(value).ok_or_else(zero)
+    fitting(text, |value| value != 0.0, "must be a number other than 0")
 }
 
-impl FromStr for JointTorque {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (joint, torque) = text.split_once(':').ok_or("not of the form J:NM@T1..T2")?;
-        Ok(Self {
-            joint: joint
-                .parse()
-                .ok()
-                .filter(|joint| *joint > 0)
-                .ok_or_else(|| format!("'{joint}' is no joint, they count from 1"))?,
-            torque_nm: finite(torque)?,
-        })
-    }
+/// A mass, kg, from one time to another.
+fn held(text: &str) -> Result<During<f64>, String> {
+    during(text, |mass| {
+        positive(mass).map_err(|error| format!("a mass {error}"))
+    })
 }
 
-impl FromStr for Triple {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let values: Vec<f64> = text.split(',').map(finite).collect::<Result<_, _>>()?;
-        let values = values.try_into().map_err(|_| "not three numbers")?;
-        Ok(Self(values))
-    }
+/// A joint, from 1, and the torque on it, N·m, from one time to another.
+fn pushed(text: &str) -> Result<During<(usize, f64)>, String> {
+    during(text, |push| {
+        let (joint, torque) = push.split_once(':').ok_or("not of the form J:NM@T1..T2")?;
+        let number = joint.parse().ok().filter(|joint| *joint > 0);
+        let number = number.ok_or_else(|| format!("'{joint}' is no joint, they count from 1"))?;
+        Ok((number, finite(torque)?))
+    })
 }
 
-impl<T: FromStr> FromStr for During<T>
-where
-    T::Err: ToString,
-{
-    type Err = String;
+/// Three numbers.
+pub(super) fn triple(text: &str) -> Result<[f64; 3], String> {
+    let values: Vec<f64> = text.split(',').map(finite).collect::<Result<_, _>>()?;
+    values
+        .try_into()
+        .map_err(|_| "not three numbers".to_owned())
+}
 
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (what, time) = text
-            .split_once('@')
-            .ok_or("no @ between what and when it happens")?;
-        let (from, to) = time.split_once("..").ok_or("no .. between begin and end")?;
-        let time_s = finite(from)?..finite(to)?;
-        if time_s.start < 0.0 || time_s.is_empty() {
-            return Err("it must begin at 0 s or later, and end after that".to_owned());
-        }
-        Ok(Self {
-            what: what.parse().map_err(|error: T::Err| error.to_string())?,
-            time_s,
-        })
+fn during<T>(
+    text: &str,
+    what: impl FnOnce(&str) -> Result<T, String>,
+) -> Result<During<T>, String> {
+    let (happens, time) = text
+        .split_once('@')
+        .ok_or("no @ between what and when it happens")?;
+    let (from, to) = time.split_once("..").ok_or("no .. between begin and end")?;
+    let time_s = finite(from)?..finite(to)?;
+    if time_s.start < 0.0 || time_s.is_empty() {
+        return Err("it must begin at 0 s or later, and end after that".to_owned());
     }
+    let what = what(happens)?;
+    Ok(During { what, time_s })
 }
 
 impl DisturbanceArguments {
@@ -174,19 +138,18 @@ impl DisturbanceArguments {
     pub(super) fn events<const N: usize>(&self) -> Result<Events<N>, Failure> {
         let mut events = Events::default();
         for During { what, time_s } in &self.payload {
-            let (Mass(mass), Triple(com_m)) = (*what, self.payload_com);
-            let payload = Payload::cube(mass, com_m, time_s.start, time_s.end);
+            let payload = Payload::cube(*what, self.payload_com, time_s.start, time_s.end);
             events.payloads.push(payload);
         }
         for During { what, time_s } in &self.push {
             let mut torque = Joints::<N>::zeros();
-            let joint = what.joint;
+            let (joint, torque_nm) = *what;
             let missing = || {
                 unusable(format!(
                     "--push: there is no joint {joint}, the last one is {N}"
                 ))
             };
-            *torque.get_mut(joint - 1).ok_or_else(missing)? = what.torque_nm;
+            *torque.get_mut(joint - 1).ok_or_else(missing)? = torque_nm;
             events.pushes.push(Push {
                 torque,
                 from_s: time_s.start,
@@ -215,16 +178,15 @@ mod tests {
 
     #[test]
     fn what_happens_is_read_as_it_is_written() {
-        let payload: During<Mass> = "2.5@1..4.5".parse().expect("a payload");
-        assert_eq!((payload.what, payload.time_s), (Mass(2.5), 1.0..4.5));
-        let push: During<JointTorque> = "2:-30@0.5..0.6".parse().expect("a push");
-        assert_eq!((push.what.joint, push.what.torque_nm), (2, -30.0));
-        assert_eq!(push.time_s, 0.5..0.6);
+        let payload = held("2.5@1..4.5").expect("a payload");
+        assert_eq!((payload.what, payload.time_s), (2.5, 1.0..4.5));
+        let push = pushed("2:-30@0.5..0.6").expect("a push");
+        assert_eq!((push.what, push.time_s), ((2, -30.0), 0.5..0.6));
         for bad in ["2.5", "2.5@1", "x@1..2", "2@2..1", "2@-1..2", "2@1..1"] {
-            assert!(bad.parse::<During<Mass>>().is_err(), "{bad}");
+            assert!(held(bad).is_err(), "{bad}");
         }
         for bad in ["3@1..2", "0:3@1..2", "x:3@1..2", "1:@1..2"] {
-            assert!(bad.parse::<During<JointTorque>>().is_err(), "{bad}");
+            assert!(pushed(bad).is_err(), "{bad}");
         }
     }
 }

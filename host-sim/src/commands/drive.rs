@@ -2,7 +2,7 @@ use super::arm::{ArmOptions, with_rotors};
 use super::attended::Attended;
 use super::boards::on_arm;
 use super::disturbances::DisturbanceArguments;
-use super::motion_log::{Effort, MotionLog};
+use super::motion_log::MotionLog;
 use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, bank, positive, unusable};
@@ -103,21 +103,20 @@ impl Arguments {
         profile: &Profile,
         robot: &Robot,
     ) -> Result<(), Failure> {
-        let (arguments, robot) = (self, &with_rotors(robot)?);
-        let drive = Drive::<A, N, P>::new(arguments, profile, robot)?;
-        if arguments.bus != BusChoice::Sim {
-            let network = wired(&arguments.bus, profile)?;
-            return drive.play(Box::new(network), arguments.alone, None);
+        let robot = &with_rotors(robot)?;
+        let drive = Drive::<A, N, P>::new(self, profile, robot)?;
+        if !self.bus.is_simulated() {
+            return drive.play(Box::new(wired(&self.bus, profile)?), None);
         }
-        let alone = if arguments.alone {
-            None
-        } else {
-            let figure = drive
-                .tracking(Box::new(drive.simulated()?), true, &mut |_| Ok(()))?
-                .rms_mrad();
-            Some(figure)
+        let alone = match self.alone {
+            true => None,
+            false => {
+                let network = Box::new(drive.simulated()?);
+                let played = drive.tracking(network, true, &mut |_| Ok(()))?;
+                Some(played.rms_mrad())
+            }
         };
-        drive.play(Box::new(drive.simulated()?), arguments.alone, alone)
+        drive.play(Box::new(drive.simulated()?), alone)
     }
 }
 
@@ -239,7 +238,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let mut player = BusPlayer::new(
             self.config,
             set,
-            Attended::new(network, self.arguments.bus == BusChoice::Sim),
+            Attended::new(network, self.arguments.bus.is_simulated()),
         )?;
         player.arm()?;
         let mut played = Played {
@@ -249,13 +248,10 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             counted: 0,
             ended: None,
         };
-        let outcome = self.follow(&mut played, alone, log);
-        let parked = played.player.park();
-        if let Err(failure) = outcome {
-            played.ended = Some(failure.to_string());
-        } else if let Err(failure) = parked {
-            played.ended = Some(failure.to_string());
-        }
+        let followed = self.follow(&mut played, alone, log);
+        let parked = played.player.park().map_err(Failure::from);
+        let ended = followed.and(parked).err();
+        played.ended = ended.map(|failure| failure.to_string());
         Ok(played)
     }
 
@@ -315,18 +311,13 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     }
 
     /// Plays, and writes the files.
-    fn play(
-        &self,
-        network: Box<dyn Network>,
-        alone: bool,
-        alone_mrad: Option<f64>,
-    ) -> Result<(), Failure> {
+    fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
         let out = &self.arguments.out;
         let mut columns = joint_columns("feed_forward", "nm", N);
         columns.push("flags".to_owned());
         let path = out.join("log.csv");
-        let mut log = MotionLog::<N>::create(&path, true, Effort::Torque, &columns)?;
-        let played = self.tracking(network, alone, &mut |record| {
+        let mut log = MotionLog::<N>::create(&path, true, None, &columns)?;
+        let played = self.tracking(network, self.arguments.alone, &mut |record| {
             let torque = record.feed_forward.iter().map(|tau| f64::from(*tau));
             let answer = torque.chain([f64::from(record.flags)]).collect();
             Ok(log.add(record, record.measured, answer)?)

@@ -1,7 +1,7 @@
 use super::arm::{RobotOptions, with_rotors};
 use super::terminal::Bar;
 use super::terminal::show;
-use super::{Failure, unusable};
+use super::{Failure, finite, positive, unusable};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
 use foretorque_workbench::files::{WholeFile, at, write_whole};
@@ -25,25 +25,25 @@ pub(super) struct Arguments {
     criterion: CriterionName,
     /// Limit of the condition number for `constrained` (links' base regressor, raw SI); without it 60, or the best where no
     /// path reaches that
-    #[arg(long)]
+    #[arg(long, value_parser = positive)]
     condition_limit: Option<f64>,
     /// Seed of the search
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Starts of the search
-    #[arg(long, default_value_t = 8)]
-    starts: usize,
+    #[arg(long, default_value = "8")]
+    starts: NonZeroUsize,
     /// Most iterations of a round for the best quarter of the starts
-    #[arg(long, default_value_t = 80)]
-    iterations: usize,
+    #[arg(long, default_value = "80")]
+    iterations: NonZeroUsize,
     /// Period of the fundamental, s; at most 1000
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, value_parser = period)]
     period_s: f64,
     /// Range of every joint around zero, rad, on top of the description's
-    #[arg(long, default_value_t = std::f64::consts::PI)]
+    #[arg(long, default_value_t = std::f64::consts::PI, value_parser = positive)]
     range_rad: f64,
     /// Height of the table under the arm, m, in place of the description's
-    #[arg(long, conflicts_with = "no_table")]
+    #[arg(long, conflicts_with = "no_table", value_parser = finite)]
     table_m: Option<f64>,
     /// There is no table
     #[arg(long)]
@@ -71,6 +71,12 @@ enum CriterionName {
 /// Longest period, s: every millisecond of it is checked and written.
 const MOST_PERIOD_S: f64 = 1000.0;
 
+fn period(text: &str) -> Result<f64, String> {
+    let limit = format!("must be at most {MOST_PERIOD_S}");
+    let period_s = positive(text)?;
+    (period_s <= MOST_PERIOD_S).then_some(period_s).ok_or(limit)
+}
+
 impl From<CriterionName> for Criterion {
     fn from(name: CriterionName) -> Self {
         match name {
@@ -92,33 +98,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             .iter_mut()
             .for_each(|joint| joint.capsules.clear());
     }
-    let positive = |name: &str, value: f64| {
-        if value.is_finite() && value > 0.0 {
-            Ok(())
-        } else {
-            Err(unusable(format!("--{name} is {value}, must be positive")))
-        }
-    };
-    positive("period-s", arguments.period_s)?;
-    if arguments.period_s > MOST_PERIOD_S {
-        return Err(unusable(format!(
-            "--period-s is {}, must be at most {MOST_PERIOD_S}",
-            arguments.period_s
-        )));
-    }
-    positive("range-rad", arguments.range_rad)?;
-    positive("condition-limit", arguments.condition_limit.unwrap_or(1.0))?;
-    positive("starts", arguments.starts as f64)?;
-    positive("iterations", arguments.iterations as f64)?;
     if arguments.no_table {
         robot.workspace.table_height = None;
     }
-    if let Some(height) = arguments.table_m {
-        if !height.is_finite() {
-            return Err(unusable("--table-m must be a number"));
-        }
-        robot.workspace.table_height = Some(height);
-    }
+    robot.workspace.table_height = arguments.table_m.or(robot.workspace.table_height);
     search(arguments, &robot)
 }
 
@@ -136,8 +119,8 @@ fn search(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
             .unwrap_or(SearchConfig::default().condition_limit),
         condition_required: arguments.condition_limit.is_some(),
         seed: arguments.seed,
-        starts: arguments.starts,
-        iterations: arguments.iterations,
+        starts: arguments.starts.get(),
+        iterations: arguments.iterations.get(),
         range_rad: arguments.range_rad,
         threads: arguments.threads,
     };

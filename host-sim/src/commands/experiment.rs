@@ -59,6 +59,9 @@ struct Out {
     out: PathBuf,
     #[command(flatten)]
     snapshot: Snapshot,
+    /// Seed of everything random: plant, prior, paths, noise, starts
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
 }
 
 /// A study of independent jobs, over a range of seeds.
@@ -92,9 +95,6 @@ struct Demo {
     /// Board: native, qemu, with the flashable firmware beside it over its USART, qemu-usart or serial:PORT
     #[arg(long, default_value = "qemu")]
     board: BoardChoice,
-    /// Seed of plant, prior, paths and noise
-    #[arg(long, default_value_t = DemoConfig::default().seed)]
-    seed: u64,
     /// Arm time with learning on, long run, s
     #[arg(long, default_value_t = DemoConfig::default().learning_s)]
     learning_s: f64,
@@ -112,9 +112,6 @@ struct Efficiency {
     /// Noise draws of each case
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     draws: u32,
-    /// Seed of plant, prior, paths and noise
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
 }
 
 /// One optimised excitation for every seed, every limit counted again
@@ -185,9 +182,6 @@ struct OfLogs {
     /// Directory of the logs
     #[arg(long, value_name = "DIR", default_value = "tests/data/ur5-real")]
     logs: PathBuf,
-    /// Seed of random starts
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
 }
 
 /// Ten million ticks of learning: finite, positive, near exact arithmetic, equal bits on the board
@@ -199,9 +193,6 @@ struct Soak {
     /// Board that a part is compared with bit for bit: qemu, or native for none
     #[arg(long, default_value = "qemu")]
     board: BoardChoice,
-    /// Seed of plant, prior, paths and noise
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     /// Ticks in this process
     #[arg(long, default_value = "10000000")]
     ticks: NonZeroUsize,
@@ -215,9 +206,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         _ if arguments.list => list(),
         Some(Study::Demo(arguments)) => run_demo(arguments),
         Some(Study::Efficiency(own)) => own.out.study(|progress| {
-            let draws = own.draws as usize;
-            let outcome = efficiency::run(&own.out.out, own.seed, draws, progress)?;
-            Ok(Some(outcome))
+            let (out, draws) = (&own.out, own.draws as usize);
+            efficiency::run(&out.out, out.seed, draws, progress)
         }),
         Some(Study::Excitation(own)) => {
             let (quick, seed) = (own.jobs.quick, own.jobs.seed);
@@ -229,10 +219,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         Some(Study::Paper(arguments)) => run_paper(arguments),
         Some(Study::RealUr5(own)) => own
             .out
-            .study(|progress| Ok(Some(real_ur5::run(&own.logs, own.seed, progress)?))),
+            .study(|progress| real_ur5::run(&own.logs, own.out.seed, progress)),
         Some(Study::ReplayReal(own)) => own
             .out
-            .study(|progress| Ok(Some(replay::real_ur5(&own.logs, own.seed, progress)?))),
+            .study(|progress| replay::real_ur5(&own.logs, own.out.seed, progress)),
         Some(Study::Soak(arguments)) => run_soak(arguments),
         None => Err(unusable("which experiment? `experiment --list` shows them")),
     }
@@ -250,29 +240,26 @@ fn list() -> Result<(), Failure> {
 }
 
 impl Out {
-    fn study<R: Serialize>(
+    fn study<R: Serialize, E: Into<Failure>>(
         &self,
-        work: impl FnOnce(Progress<'_>) -> Result<Option<Outcome<R>>, Failure>,
+        work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, E>,
     ) -> Result<(), Failure> {
         study(&self.out, &self.snapshot, work)
     }
 }
 
-/// Runs `work` and writes its report into `out`, if it has one.
-fn study<R: Serialize>(
+/// Runs `work` and writes its report into `out`.
+fn study<R: Serialize, E: Into<Failure>>(
     out: &Path,
     snapshot: &Snapshot,
-    work: impl FnOnce(Progress<'_>) -> Result<Option<Outcome<R>>, Failure>,
+    work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, E>,
 ) -> Result<(), Failure> {
     // A place that cannot be written or compared is refused before the work.
     snapshot.check()?;
     let files = ReportFiles::create(out)?;
     let bar = Bar::new();
-    let outcome = work(&|stage, done, all| bar.show(stage, done, all))?;
+    let outcome = work(&|stage, done, all| bar.show(stage, done, all)).map_err(Into::into)?;
     drop(bar);
-    let Some(outcome) = outcome else {
-        return Ok(());
-    };
     let page = files.finish(&outcome.report, &outcome.page)?;
     show!("{}", outcome.text.trim_end())?;
     show!("report {}", page.display())?;
@@ -295,7 +282,8 @@ impl Jobs {
             None => Records::Compute,
         };
         study(&out, &self.snapshot, |progress| {
-            Ok(work(&records, &out, progress)?)
+            let outcome = work(&records, &out, progress)?;
+            outcome.ok_or_else(|| unusable("the records are only written"))
         })
     }
 }
@@ -309,14 +297,13 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
         return Err(unusable("--usart-learning-s must not exceed --learning-s"));
     }
     let config = DemoConfig {
-        seed: arguments.seed,
+        seed: arguments.out.seed,
         learning_s: arguments.learning_s,
         usart_learning_s: arguments.usart_learning_s,
         ..DemoConfig::default()
     };
     let choice = &arguments.board;
     arguments.out.study(|progress| {
-        let robot = Robot::load(Ur5::NAME)?;
         let mut bulk = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let mut usart = match choice {
             BoardChoice::Qemu => {
@@ -326,9 +313,7 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
         };
         let boards = (&mut bulk, usart.as_mut());
         let names = (choice.to_string(), choice.toolchain(Ur5::NAME));
-        let outcome =
-            demo::run::<Ur5, JOINTS, PARAMETERS>(&robot, &config, names, boards, progress)?;
-        Ok(Some(outcome))
+        Ok::<_, Failure>(demo::run(&config, names, boards, progress)?)
     })
 }
 
@@ -345,7 +330,7 @@ fn run_learning(arguments: &Learning) -> Result<(), Failure> {
         quick: arguments.quick,
     };
     study(out, &arguments.snapshot, |progress| {
-        Ok(Some(learning::run(&config, progress)?))
+        learning::run(&config, progress)
     })
 }
 
@@ -360,14 +345,14 @@ fn run_paper(arguments: &Paper) -> Result<(), Failure> {
 
 fn run_soak(arguments: &Soak) -> Result<(), Failure> {
     let config = SoakConfig {
-        seed: arguments.seed,
+        seed: arguments.out.seed,
         ticks: arguments.ticks.get(),
         board_ticks: arguments.board_ticks.get(),
     };
     let choice = &arguments.board;
     arguments.out.study(|progress| {
         if *choice == BoardChoice::Native {
-            return Ok(Some(soak::run(&config, None, progress)?));
+            return Ok::<_, Failure>(soak::run(&config, None, progress)?);
         }
         let mut board = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
@@ -379,6 +364,6 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
             )),
             other => other.into(),
         })?;
-        Ok(Some(soak::run(&config, Some(&mut board), progress)?))
+        Ok(soak::run(&config, Some(&mut board), progress)?)
     })
 }

@@ -48,15 +48,20 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     std::fs::create_dir_all(&scratch)?;
     let all = scenarios(lengths, arguments.seed, &scratch);
     let (bar, count) = (Bar::new(), all.len());
-    show!("{} seconds", faults::header())?;
     for (place, scenario) in all.into_iter().enumerate() {
         bar.show(scenario.name, place, count);
         let (name, start) = (scenario.name, Instant::now());
         let campaign = scenario
             .run()
             .map_err(|error| unusable(format!("{name}: {error}")))?;
-        let seconds = start.elapsed().as_secs_f64();
-        show!("{} {seconds:>7.1}", faults::row(&campaign))?;
+        show!(
+            "{}, {}: {} faults, {} recovered, {:.1} s",
+            campaign.name,
+            campaign.board,
+            campaign.injected,
+            campaign.recovered,
+            start.elapsed().as_secs_f64()
+        )?;
         report.campaigns.push(campaign);
         write_json(&arguments.out, &report)?;
     }
@@ -68,21 +73,14 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .filter(|campaign| !campaign.is_survived())
         .map(|campaign| format!("{} ({})", campaign.name, campaign.board))
         .collect();
-    let injected: u64 = report
-        .campaigns
-        .iter()
-        .map(|campaign| campaign.injected)
-        .sum();
+    let text = faults::text(arguments.seed, &report.campaigns);
     show!(
-        "{} campaigns, {injected} faults, {} not survived; {}",
-        count,
+        "{text}\n{} not survived; {}",
         failed.len(),
         arguments.out.display()
     )?;
     if !failed.is_empty() {
         return Err(unusable(format!("not survived: {}", failed.join(", "))));
     }
-    arguments
-        .snapshot
-        .keep(&faults::text(arguments.seed, &report.campaigns))
+    arguments.snapshot.keep(&text)
 }

@@ -64,26 +64,28 @@ fn unusable(reason: impl Into<String>) -> Failure {
 
 /// A finite number, as the value of an option.
 fn finite(text: &str) -> Result<f64, String> {
+    let wrong = format!("'{text}' is no number");
+    fitting(text, |value| value.is_finite(), &wrong)
+}
+
+/// A number that fits, as the value of an option.
+fn fitting(text: &str, fits: fn(f64) -> bool, wrong: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok();
-    let value = value.filter(|value| value.is_finite());
-    value.ok_or_else(|| format!("'{text}' is no number"))
+    let value = value.filter(|value| value.is_finite() && fits(*value));
+    value.ok_or_else(|| wrong.to_owned())
 }
 
 fn positive(text: &str) -> Result<f64, String> {
-    let positive = finite(text).ok().filter(|value| *value > 0.0);
-    positive.ok_or_else(|| "must be positive".to_owned())
+    fitting(text, |value| value > 0.0, "must be positive")
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {
-    let positive = finite(text).ok().filter(|value| *value >= 0.0);
-    positive.ok_or_else(|| "must not be negative".to_owned())
+    fitting(text, |value| value >= 0.0, "must not be negative")
 }
 
 fn share(text: &str) -> Result<f64, String> {
-    let share = finite(text)
-        .ok()
-        .filter(|value| *value >= 0.0 && *value <= 1.0);
-    share.ok_or_else(|| "must lie between 0 and 1".to_owned())
+    let fits = |value| (0.0..=1.0).contains(&value);
+    fitting(text, fits, "must lie between 0 and 1")
 }
 
 /// Arguments of a command as `words` give them, the others as without an option.

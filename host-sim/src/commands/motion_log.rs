@@ -13,15 +13,6 @@ use std::path::Path;
 /// and 0.07 rad/s².
 const WINDOW: usize = 31;
 
-/// Drive columns that stand in the log beside the motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Effort {
-    /// Torques, N·m.
-    Torque,
-    /// Motor currents, A.
-    Current,
-}
-
 /// Writes position and torque as measured, velocity and acceleration as slopes of the measured positions, and the desired
 /// positions.
 ///
@@ -32,6 +23,8 @@ pub(super) struct MotionLog<const N: usize> {
     waiting: VecDeque<Row<N>>,
     /// Rows at the front of `waiting` that have been written.
     written: usize,
+    /// Drive gains, N·m/A, where the log has currents.
+    gains: Option<Joints<N>>,
 }
 
 struct Row<const N: usize> {
@@ -46,19 +39,20 @@ impl<const N: usize> MotionLog<N> {
     /// Starts a log with `more` columns at its end.
     ///
     /// * `beside` the log is written as MCAP too
+    /// * `gains` drive gains, N·m/A, by which the log has motor currents, A, in the place of torques
     ///
     /// Errors: the file system's.
     pub(super) fn create(
         path: &Path,
         beside: bool,
-        effort: Effort,
+        gains: Option<Joints<N>>,
         more: &[String],
     ) -> io::Result<Self> {
         let mut header = vec!["t_s".to_owned()];
         header.extend(state_columns(N));
-        header.extend(match effort {
-            Effort::Torque => joint_columns("tau", "nm", N),
-            Effort::Current => joint_columns("i", "a", N),
+        header.extend(match gains {
+            None => joint_columns("tau", "nm", N),
+            Some(_) => joint_columns("i", "a", N),
         });
         header.extend(joint_columns("desired", "rad", N));
         header.extend_from_slice(more);
@@ -69,6 +63,7 @@ impl<const N: usize> MotionLog<N> {
             },
             waiting: VecDeque::with_capacity(WINDOW),
             written: 0,
+            gains,
         })
     }
 
@@ -88,7 +83,10 @@ impl<const N: usize> MotionLog<N> {
         self.waiting.push_back(Row {
             t_s: record.t_s,
             q: seen.q,
-            tau: seen.tau,
+            tau: match &self.gains {
+                None => seen.tau,
+                Some(gains) => seen.tau.component_div(gains),
+            },
             desired: record.desired.q,
             more,
         });
@@ -206,8 +204,7 @@ mod tests {
             std::env::temp_dir().join(format!("foretorque-motion-{}.csv", std::process::id()));
         for ticks in [1, 2, 5, 30, 31, 32, 200] {
             let mut log =
-                MotionLog::<1>::create(&path, false, Effort::Torque, &["more".to_owned()])
-                    .expect("creates");
+                MotionLog::<1>::create(&path, false, None, &["more".to_owned()]).expect("creates");
             for tick in 0..ticks {
                 log.add(&record(tick), record(tick).measured, vec![tick as f64])
                     .expect("writes");

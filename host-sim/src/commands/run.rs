@@ -1,6 +1,6 @@
 use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
-use super::motion_log::{Effort, MotionLog};
+use super::motion_log::MotionLog;
 use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
 use super::terminal::{self, Bar, show};
 use super::{Failure, bank, unusable};
@@ -208,7 +208,7 @@ impl<const N: usize> Log<N> {
         columns.push("flags".to_owned());
         let path = arguments.out.join("log.csv");
         Ok(Self {
-            motion: MotionLog::create(&path, true, Effort::Torque, &columns)?,
+            motion: MotionLog::create(&path, true, None, &columns)?,
             seen: ClosedLoopLog::new(&scene.robot, scene.ticks),
             telemetry: None,
             every: WATCH_TICKS,

@@ -1,6 +1,6 @@
 use super::arm::{RobotOptions, with_rotors};
 use super::disturbances::DisturbanceArguments;
-use super::motion_log::{Effort, MotionLog};
+use super::motion_log::MotionLog;
 use super::terminal::{Bar, keep_stdout_for, show};
 use super::{Failure, not_negative, not_over, positive, unsupported, unusable};
 use clap::Args;
@@ -161,15 +161,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     not_over(Path::new(&arguments.motion.trajectory), &arguments.out)?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let gains = arguments
-        .current
-        .then(|| Joints::<N>::from_iterator(robot.joints.iter().map(|joint| joint.drive.gain)));
-    let effort = match arguments.current {
-        true => Effort::Current,
-        false => Effort::Torque,
-    };
+    let gains = robot.joints.iter().map(|joint| joint.drive.gain);
+    let gains = arguments.current.then(|| Joints::from_iterator(gains));
     let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);
-    let mut log = MotionLog::<N>::create(&arguments.out, arguments.mcap, effort, &[])?;
+    let mut log = MotionLog::<N>::create(&arguments.out, arguments.mcap, gains, &[])?;
     let bar = Bar::new();
     let (plant, path) = (&mut scene.plant, &scene.trajectory);
     let mut play = ClosedLoop::new(plant, &scene.pd, path, PERIOD_S, None)?;
@@ -177,10 +172,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
         let record = play.tick(plant, None)?;
         seen.add(&record, None, None);
         // What is lost on the way is in no log.
-        if let Some(mut seen) = record.reported {
-            if let Some(gains) = &gains {
-                seen.tau = seen.tau.component_div(gains);
-            }
+        if let Some(seen) = record.reported {
             log.add(&record, seen, Vec::new())?;
         }
         if tick % 256 == 0 {

@@ -10,7 +10,7 @@ use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::joints;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{
-    StateReader, StateRow, TableProblem, TableWriter, TimeColumn, joint_columns,
+    StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns,
 };
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
@@ -59,8 +59,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// States one after the other, from a table or a trajectory.
-type States<const N: usize> =
-    Box<dyn Iterator<Item = Result<StateRow<N>, foretorque_workbench::table::TableError>>>;
+type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
 
 impl Arguments {
     /// Whether the states have times, and the states.
@@ -162,7 +161,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         }
     }
     if let (0, Some(path)) = (rows, &arguments.input) {
-        return Err(TableProblem::Empty.at(path, None).into());
+        return Err(TableError::empty(path).into());
     }
     table.finish()?;
     Ok(())

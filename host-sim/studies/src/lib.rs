@@ -20,7 +20,6 @@ use foretorque_link::bank::{BankError, NETWORK_SEED, ParameterBank};
 use foretorque_workbench::Refusal;
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::identification::IdentifyError;
-use foretorque_workbench::report::ReportError;
 use foretorque_workbench::report::page::Page;
 use foretorque_workbench::report::plot::PlotError;
 use foretorque_workbench::robot::Robot;
@@ -65,9 +64,6 @@ pub enum StudyError {
     /// A file that is no JSON of this program.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
-    /// A report that cannot be written.
-    #[error(transparent)]
-    Report(#[from] ReportError),
     /// A robot that cannot be loaded, or an excitation that cannot be found or played.
     #[error(transparent)]
     Refused(#[from] Refusal),
@@ -84,7 +80,7 @@ impl From<BankError> for StudyError {
 
 impl From<PlotError> for StudyError {
     fn from(error: PlotError) -> Self {
-        Self::Report(error.into())
+        Self::File(error.into())
     }
 }
 

@@ -142,11 +142,8 @@ pub(crate) struct PlayedBoard {
 }
 
 impl PlayedBoard {
-    /// Lets `board` answer, every frame changed by `change` on its way to the host.
-    pub(crate) fn start(
-        mut board: impl Transport + Send + 'static,
-        change: fn(&[u8]) -> Vec<u8>,
-    ) -> Self {
+    /// Lets `board` answer.
+    pub(crate) fn start(mut board: impl Transport + Send + 'static) -> Self {
         let (mut line, end) = TTYPort::pair().expect("the system has pseudo-terminals");
         let port = end.name().expect("it has a name");
         line.set_timeout(Duration::from_millis(5))
@@ -165,10 +162,8 @@ impl PlayedBoard {
                 let count = board
                     .receive(&mut buffer, Duration::ZERO)
                     .expect("the board lives");
-                for frame in buffer[..count].split_inclusive(|&byte| byte == 0) {
-                    // A host that has received enough hangs up.
-                    let _ = line.write_all(&change(frame));
-                }
+                // A host that has received enough hangs up.
+                let _ = line.write_all(&buffer[..count]);
             }
         });
         drop(end);

@@ -112,41 +112,24 @@ fn joints_of(frame: &TelemetryFrame) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::board::{Client, Native, Transport};
+    use crate::board::{Client, Native};
     use foretorque::arm::ur5::Ur5;
     use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-    use std::sync::{Arc, Mutex};
+    use foretorque_link::wire::{MAX_FRAME, encode};
     use std::time::Duration;
 
-    /// A board whose bytes are copied.
-    struct Tapped(Native<Ur5, 6, 40>, Arc<Mutex<Vec<u8>>>);
-
-    impl Transport for Tapped {
-        fn name(&self) -> String {
-            self.0.name()
-        }
-
-        fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-            self.0.send(bytes)
-        }
-
-        fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-            let count = self.0.receive(buffer, timeout)?;
-            self.1
-                .lock()
-                .expect("no thread panics")
-                .extend(&buffer[..count]);
-            Ok(count)
-        }
+    /// A message of the board, as it stands on the line.
+    fn sent(message: BoardMessage<6>) -> Vec<u8> {
+        let mut buffer = [0; MAX_FRAME];
+        let frame = encode(0, &message, &mut buffer);
+        frame.expect("it fits").to_vec()
     }
 
     #[test]
     fn what_is_read_along_is_what_the_host_records() {
-        let copied = Arc::new(Mutex::new(Vec::new()));
-        let native = Native::new().expect("the arm's limits are usable");
-        let tapped = Box::new(Tapped(native, Arc::clone(&copied)));
+        let native = Box::new(Native::<Ur5, 6, 40>::new().expect("the arm's limits are usable"));
         let boot = Duration::from_secs(1);
-        let mut board = Client::<6>::connect::<Ur5, 40>(tapped, boot).expect("it answers");
+        let mut board = Client::<6>::connect::<Ur5, 40>(native, boot).expect("it answers");
         let selection: Selection = "all/20".parse().expect("all fields");
         board
             .stream(selection.fields, selection.every)
@@ -168,7 +151,12 @@ mod tests {
         let mut recorder = Recorder::create(&own, selection, 6, 1e-3).expect("it can be written");
         recorder.take(&frames).expect("it can be written");
         recorder.finish().expect("it can be written");
-        let bytes = copied.lock().expect("no thread panics").clone();
+        let mut bytes = sent(BoardMessage::Hello(board.hello().clone()));
+        bytes.extend(
+            frames
+                .into_iter()
+                .flat_map(|frame| sent(BoardMessage::Telemetry(frame))),
+        );
         let mut overheard = Overheard::new(&along, 0.5);
         for part in bytes.chunks(37) {
             overheard.take(part).expect("it can be written");

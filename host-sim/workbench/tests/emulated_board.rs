@@ -4,14 +4,11 @@ use crate::talk::{Talk, credible, sample};
 use crate::trial::{PATIENCE, connected, native, scratch, started};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_f405::chip;
-use foretorque_link::wire::{
-    BoardMessage, Configuration, CounterKind, Decoder, HostMessage, Pacing, SampleFrame,
-};
-use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
-use foretorque_workbench::board::{BoardError, Client, Transport};
+use foretorque_link::wire::{Configuration, CounterKind, Pacing};
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::{BoardError, Client};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use std::time::Duration;
 
 fn emulator(image: Image) -> Emulator {
     started(&QemuOptions::new(image))
@@ -22,16 +19,7 @@ fn client(image: Image) -> Client<JOINTS> {
 }
 
 #[test]
-fn the_flashable_firmware_boots_and_sends_its_hello() {
-    let client = client(Image::Joint);
-    let hello = client.hello();
-    assert_eq!(hello.arm.as_str(), "ur5");
-    assert_eq!(hello.counter, CounterKind::Instructions);
-    assert_eq!(hello.configuration, Configuration::default());
-}
-
-#[test]
-fn the_flashable_firmware_also_boots_when_time_is_that_of_the_wall() {
+fn the_flashable_firmware_boots_when_time_is_that_of_the_wall() {
     let mut options = QemuOptions::new(Image::Joint);
     options.icount_shift = None;
     let mut client = connected(started(&options));
@@ -129,32 +117,6 @@ fn the_timer_runs_the_tick_at_its_period_when_it_paces() {
 }
 
 #[test]
-fn damaged_bytes_on_the_line_are_counted_and_stop_nothing() {
-    let mut talk = Talk::begin(emulator(Image::Joint));
-    for k in 0..30u32 {
-        let message = HostMessage::Sample(SampleFrame::new(&sample(k)));
-        if k % 3 == 1 {
-            talk.sequence += 1;
-            talk.frames.clear();
-            talk.frames.push(talk.sequence, &message).unwrap();
-            let mut bytes = talk.frames.as_bytes().to_vec();
-            let place = 5 + k as usize;
-            bytes[place] = if bytes[place] == 0x55 { 0x56 } else { 0x55 };
-            talk.link.send(&bytes).expect("the board listens");
-        } else {
-            let sequence = talk.sequence + 1;
-            talk.send(&message);
-            assert_eq!(talk.receive().0, sequence, "the good sample is answered");
-        }
-    }
-    let mut client = connected(talk.link);
-    let statistics = client.statistics().expect("counters");
-    assert_eq!(statistics.crc_errors + statistics.framing_errors, 10);
-    assert_eq!(statistics.ticks, 20);
-    assert_eq!(statistics.missed, 10);
-}
-
-#[test]
 fn an_emulator_that_dies_in_the_middle_is_reported_and_leaves_no_process() {
     for image in [Image::Joint, Image::Bulk] {
         let emulator = emulator(image);
@@ -187,36 +149,16 @@ fn what_is_missing_is_named() {
     let mut options = QemuOptions::new(Image::Joint);
     options.elf = "/nowhere/joint".into();
     let error = Emulator::start(&options).expect_err("there is no such firmware");
-    assert!(matches!(error, EmulatorError::NoFirmware(_)));
-    assert!(error.to_string().contains("/nowhere/joint"));
-
-    let mut options = QemuOptions::new(Image::Joint);
-    options.emulator = "qemu-system-nowhere".into();
-    let error = Emulator::start(&options).expect_err("there is no such emulator");
-    assert!(matches!(error, EmulatorError::NotInstalled(_)), "{error}");
-    assert!(error.to_string().contains("cargo xtask setup"));
+    assert!(error.to_string().contains("no firmware at /nowhere/joint"));
 }
 
 #[test]
 fn a_file_that_is_no_firmware_is_reported() {
     let mut options = QemuOptions::new(Image::Joint);
     options.elf = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml").into();
-    options.boot = Duration::from_millis(500);
     let error = Emulator::start(&options).expect_err("it is no firmware");
-    assert!(matches!(error, EmulatorError::Died(_)), "{error}");
-    assert!(error.to_string().contains("fatal"), "{error}");
-}
-
-#[test]
-fn a_frame_of_the_board_fits_the_answer_it_is_for() {
-    let mut talk = Talk::begin(emulator(Image::Joint));
-    let frame = talk.ask(&HostMessage::Hello);
-    let mut decoder = Decoder::new();
-    let received = frame.iter().find_map(|&byte| {
-        let frame = decoder.push(byte)?;
-        Some(frame.map(|frame| frame.message::<BoardMessage<JOINTS>>()))
-    });
-    assert!(matches!(received, Some(Ok(Ok(BoardMessage::Hello(_))))));
+    let text = error.to_string();
+    assert!(text.contains("died") && text.contains("fatal"), "{text}");
 }
 
 #[test]

@@ -6,7 +6,7 @@
 //! is flashed.
 
 use crate::driven::parts::{NEVER, drive};
-use crate::driven::{Drive, Stage, written};
+use crate::driven::{Stage, armed, equipped, start, written};
 use crate::trial::{connected, native, still};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::{JointSample, JointVector};
@@ -34,7 +34,7 @@ fn moving(k: u32) -> JointSample<JOINTS> {
 
 #[test]
 fn a_board_with_nothing_plugged_in_refuses_to_arm_and_says_why() {
-    let mut trial = Drive::start("bare", &[]);
+    let mut trial = start("bare", &[]);
     assert_eq!(trial.client.safety().state, SafetyState::Fault);
     assert_eq!(trial.client.safety().reason, SafetyReason::Drive);
     assert_eq!(trial.refusal(), SafetyReason::Drive);
@@ -52,7 +52,7 @@ fn a_board_with_nothing_plugged_in_refuses_to_arm_and_says_why() {
 
 #[test]
 fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
-    let mut trial = Drive::start("blind", &[("4pins8pin_high", drive(NEVER))]);
+    let mut trial = start("blind", &[("4pins8pin_high", drive(NEVER))]);
     assert_eq!(trial.client.safety().state, SafetyState::Disarmed);
     for _ in 0..10 {
         let reply = trial.sample(&still());
@@ -68,7 +68,7 @@ fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
     // `mov.w r0, #256; bx lr`: no byte came in time.
     let silent = vec![0xF44F, 0x7080, 0x4770];
     let patches = [("3spi8exchange", silent), ("4pins8pin_high", drive(NEVER))];
-    let mut trial = Drive::start("bus", &patches);
+    let mut trial = start("bus", &patches);
     for tick in 0..10 {
         let reply = trial.sample(&still());
         assert_eq!(reply.tick, tick);
@@ -81,7 +81,7 @@ fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
 
 #[test]
 fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
-    let mut trial = Drive::armed("width", NEVER, NEVER);
+    let mut trial = armed("width", NEVER, NEVER);
     let mut native = connected(native());
     for _ in 0..5 {
         native.sample(&still()).expect("a torque");
@@ -116,7 +116,7 @@ fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
 
 #[test]
 fn the_position_is_the_encoders() {
-    let mut trial = Drive::equipped("angle", 300, NEVER, NEVER);
+    let mut trial = equipped("angle", 300, NEVER, NEVER);
     let fields = Field::MeasuredPosition.bit();
     trial.client.stream(fields, 1).expect("it fits");
     for _ in 0..10 {
@@ -133,7 +133,7 @@ fn the_position_is_the_encoders() {
 
 #[test]
 fn a_stop_ends_the_pulses_at_once() {
-    let mut trial = Drive::armed("stop", NEVER, NEVER);
+    let mut trial = armed("stop", NEVER, NEVER);
     trial.client.stop().expect("it obeys");
     trial.is_off();
     assert_eq!(trial.refusal(), SafetyReason::Stopped);
@@ -141,7 +141,7 @@ fn a_stop_ends_the_pulses_at_once() {
 
 #[test]
 fn silence_ends_the_pulses() {
-    let mut trial = Drive::equipped("silence", 0, NEVER, NEVER);
+    let mut trial = equipped("silence", 0, NEVER, NEVER);
     trial.arm_paced_by_timer();
     let trace = trial.trace();
     let on = |line| matches!(written(line), Some(("GPIOB", 0x18, bits)) if bits == 1 << 8);
@@ -154,7 +154,7 @@ fn silence_ends_the_pulses() {
 
 #[test]
 fn an_encoder_that_goes_silent_ends_the_torque_and_latches() {
-    let mut trial = Drive::armed("unplugged", 60, NEVER);
+    let mut trial = armed("unplugged", 60, NEVER);
     let mut ticks = 0;
     let mut reply = trial.sample(&still());
     while reply.safety.state != SafetyState::Fault {
@@ -171,7 +171,7 @@ fn an_encoder_that_goes_silent_ends_the_torque_and_latches() {
 
 #[test]
 fn a_fault_of_the_drive_ends_the_pulses_in_the_tick_in_which_it_is_seen() {
-    let mut trial = Drive::armed("fault", NEVER, 60);
+    let mut trial = armed("fault", NEVER, 60);
     let mut reply = trial.sample(&still());
     for _ in 0..60 {
         if reply.safety.state == SafetyState::Fault {

@@ -1,66 +1,51 @@
 //! The long run, everything that is asked of one board before, while and after it learns; and its first seconds again on the
 //! flashable firmware, over its USART.
 
-use super::record::{LearningPoint, LinkFigures, Tracking, UsartFigures, ValidationPoint};
-use super::setup::{
-    DemoConfig, ErrorCurve, PAGE_POINTS, ReplyBits, Setup, error_of, learn, predictions, track,
+use super::record::{
+    BeforeAfter, DemoCurves, DemoReport, LearningPoint, LinkFigures, TickPhases, Tracking,
+    UsartFigures, ValidationPoint,
 };
+use super::setup::{
+    DemoConfig, PAGE_POINTS, ReplyBits, Setup, error_of, learn, predictions, track,
+};
+use super::{N, Ur5};
 use crate::{Progress, StudyError};
-use foretorque_link::telemetry::Statistics;
+use foretorque::arm::Arm;
 use foretorque_workbench::board::Client;
-use foretorque_workbench::metrics::{TorqueError, TrackingError};
 
 /// Points of the unseen path on which the error is watched while learning goes on.
 pub(super) const WATCH_POINTS: usize = 250;
 
-/// Records of the long run.
-pub(super) struct LongRun<const N: usize> {
-    /// Torque error on the unseen path with the wrong prior.
-    pub(super) before: TorqueError<N>,
-    /// Torque error after learning.
-    pub(super) after: TorqueError<N>,
-    /// Position error on the unseen path.
-    pub(super) tracking: Tracking<TrackingError<N>>,
-    /// Tracking errors over time.
-    pub(super) tracking_curves: Tracking<ErrorCurve<N>>,
-    /// Torque error while learning goes on.
-    pub(super) learning_curve: Vec<LearningPoint>,
-    /// Torques along the unseen path.
-    pub(super) validation: Vec<ValidationPoint<N>>,
-    /// Bits of every reply while learning was on.
-    pub(super) replies: Vec<ReplyBits<N>>,
-    /// Counters before the reset with which learning begins, and at the end.
-    pub(super) statistics: [Statistics; 2],
-    /// Counters when learning ends, since that reset.
-    pub(super) learnt: Statistics,
-}
-
-/// Takes `bulk` through the whole job.
+/// Takes `bulk` through the whole job: the report, the curves, and the bits of every reply while learning was on.
+///
+/// * `board`, `toolchain` names of the board and of the compiler of its code
 ///
 /// Errors: the board's.
-pub(super) fn long_run<const N: usize>(
+pub(super) fn long_run(
     bulk: &mut Client<N>,
-    setup: &Setup<N>,
+    setup: &Setup,
     config: &DemoConfig,
+    (board, toolchain): (String, String),
     progress: Progress<'_>,
-) -> Result<LongRun<N>, StudyError> {
-    let path = setup.grid(config.ticks(config.validation_s), config.validation_s);
+) -> Result<(DemoReport, DemoCurves, Vec<ReplyBits>), StudyError> {
+    let samples = config.ticks(config.validation_s);
+    let path = setup.grid(samples, config.validation_s);
     bulk.reset()?;
     bulk.upload_bank(&setup.prior)?;
     let before = predictions(bulk, &path, "torque before", progress)?;
     // Both kinds of control meet the arm as it is when learning begins: same age, same noise.
     let mut fresh = setup.plant.clone();
-    let pd_only = track(&mut fresh, setup, path.len(), None, "PD alone", progress)?;
+    let pd_only = track(&mut fresh, setup, samples, None, "PD alone", progress)?;
     let mut fresh = setup.plant.clone();
     let wrong = track(
         &mut fresh,
         setup,
-        path.len(),
+        samples,
         Some(bulk),
         "wrong model",
         progress,
     )?;
-    let earlier = bulk.statistics()?;
+    let frozen = bulk.statistics()?;
 
     let mut plant = setup.plant.clone();
     let watched = setup.grid(WATCH_POINTS, config.validation_s);
@@ -81,7 +66,7 @@ pub(super) fn long_run<const N: usize>(
         "learning",
         progress,
     )?;
-    let at_the_end_of_learning = bulk.statistics()?;
+    let learning = bulk.statistics()?;
     let after = predictions(bulk, &path, "torque after", progress)?;
     let errors = [&before, &after].map(|torques| error_of(&plant, &path, torques));
     let validation = (0..path.len())
@@ -99,43 +84,67 @@ pub(super) fn long_run<const N: usize>(
     let learnt = track(
         &mut plant,
         setup,
-        path.len(),
+        samples,
         Some(bulk),
         "learnt model",
         progress,
     )?;
-    let statistics = [earlier, bulk.statistics()?];
-    let [before, after] = errors;
-    Ok(LongRun {
-        before,
-        after,
+    let statistics = bulk.statistics()?;
+    let tracking = Tracking {
+        pd_only: pd_only.0,
+        before: wrong.0,
+        after: learnt.0,
+    };
+    let curves = DemoCurves {
+        validation_samples: samples,
+        validation,
         tracking: Tracking {
-            pd_only: pd_only.0,
-            before: wrong.0,
-            after: learnt.0,
-        },
-        tracking_curves: Tracking {
             pd_only: pd_only.1,
             before: wrong.1,
             after: learnt.1,
         },
+    };
+    let [before, after] = errors;
+    let report = DemoReport {
+        robot: Ur5::NAME.to_owned(),
+        board,
+        seed: config.seed,
+        ticks: config.ticks(config.learning_s),
+        period_s: config.period_s,
+        toolchain,
+        torque_nrmse_before: before.nrmse(),
+        torque_nrmse_after: after.nrmse(),
+        torque_nrmse_moving_before: before.nrmse_moving(),
+        torque_nrmse_moving_after: after.nrmse_moving(),
+        torque_rmse_nm: BeforeAfter {
+            before: before.rmse_nm(),
+            after: after.rmse_nm(),
+        },
+        tracking_rms_mrad: tracking.map(|error| error.mean_rms_mrad()),
+        tracking_rms_joint_mrad: tracking.map(|error| error.rms_mrad()),
+        pd_bandwidth_hz: config.pd_bandwidth_hz,
         learning_curve,
-        validation,
-        replies,
-        statistics,
-        learnt: at_the_end_of_learning,
-    })
+        tick_instructions: statistics.tick_cost.into(),
+        tick_instructions_by_phase: TickPhases {
+            frozen: frozen.tick_cost.into(),
+            learning: learning.tick_cost.into(),
+        },
+        learning_instructions: statistics.learn_cost.into(),
+        link: LinkFigures::of(&[frozen, statistics]),
+        usart: None,
+    };
+    Ok((report, curves, replies))
 }
 
 /// Points of the unseen path for the USART, whose link carries a few hundred frames a second.
 const USART_POINTS: usize = 300;
 
 /// The shorter job on the flashable firmware: the first seconds of the long run again, bit for bit.
-pub(super) fn usart_run<const N: usize>(
+pub(super) fn usart_run(
     board: &mut Client<N>,
-    setup: &Setup<N>,
+    setup: &Setup,
     config: &DemoConfig,
-    long_run: &[ReplyBits<N>],
+    long_run: &[ReplyBits],
     progress: Progress<'_>,
 ) -> Result<UsartFigures, StudyError> {
     let ticks = config.ticks(config.usart_learning_s);

@@ -11,63 +11,26 @@ pub use record::{
 pub use setup::DemoConfig;
 
 use crate::{Outcome, Progress, StudyError};
-use foretorque::arm::Arm;
+use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque_workbench::board::Client;
-use foretorque_workbench::robot::Robot;
-use record::DemoCurves;
 use setup::Setup;
 
 /// Runs the job on the first board, and its shorter part on the flashable firmware that the second connects to.
 ///
-/// * `board`, `toolchain` names of the board and of the compiler of its code
+/// * `names` of the board and of the compiler of its code
 ///
 /// Errors: the boards', and those of an excitation that the limits do not allow.
-pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
-    robot: &Robot,
+pub fn run(
     config: &DemoConfig,
-    (board, toolchain): (String, String),
+    names: (String, String),
     (bulk, usart): (&mut Client<N>, Option<&mut Client<N>>),
     progress: Progress<'_>,
 ) -> Result<Outcome<DemoReport>, StudyError> {
-    let setup = Setup::<N>::new::<A, P>(robot, config, progress)?;
-    let long = long_run::long_run(bulk, &setup, config, progress)?;
-    let usart = usart
-        .map(|board| long_run::usart_run(board, &setup, config, &long.replies, progress))
+    let setup = Setup::new(config, progress)?;
+    let (mut report, curves, replies) = long_run::long_run(bulk, &setup, config, names, progress)?;
+    report.usart = usart
+        .map(|board| long_run::usart_run(board, &setup, config, &replies, progress))
         .transpose()?;
-    let [frozen, statistics] = &long.statistics;
-    let report = DemoReport {
-        robot: robot.name.clone(),
-        board,
-        seed: config.seed,
-        ticks: config.ticks(config.learning_s),
-        period_s: config.period_s,
-        toolchain,
-        torque_nrmse_before: long.before.nrmse(),
-        torque_nrmse_after: long.after.nrmse(),
-        torque_nrmse_moving_before: long.before.nrmse_moving(),
-        torque_nrmse_moving_after: long.after.nrmse_moving(),
-        torque_rmse_nm: BeforeAfter {
-            before: long.before.rmse_nm(),
-            after: long.after.rmse_nm(),
-        },
-        tracking_rms_mrad: long.tracking.map(|error| error.mean_rms_mrad()),
-        tracking_rms_joint_mrad: long.tracking.map(|error| error.rms_mrad()),
-        pd_bandwidth_hz: config.pd_bandwidth_hz,
-        learning_curve: long.learning_curve,
-        tick_instructions: statistics.tick_cost.into(),
-        tick_instructions_by_phase: TickPhases {
-            frozen: frozen.tick_cost.into(),
-            learning: long.learnt.tick_cost.into(),
-        },
-        learning_instructions: statistics.learn_cost.into(),
-        link: LinkFigures::of(&long.statistics),
-        usart,
-    };
-    let curves = DemoCurves {
-        validation_samples: config.ticks(config.validation_s),
-        validation: long.validation,
-        tracking: long.tracking_curves,
-    };
     Ok(Outcome {
         page: page::page(&report, &curves, &setup.series),
         text: report.summary(),
@@ -78,13 +41,12 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
     use foretorque_workbench::board::Native;
     use std::time::Duration;
 
-    fn board() -> Client<JOINTS> {
-        let native = Native::<Ur5, JOINTS, PARAMETERS>::new().expect("boots");
-        Client::connect::<Ur5, PARAMETERS>(Box::new(native), Duration::from_secs(1)).expect("hello")
+    fn board() -> Client<N> {
+        let native = Native::<Ur5, N, P>::new().expect("boots");
+        Client::connect::<Ur5, P>(Box::new(native), Duration::from_secs(1)).expect("hello")
     }
 
     fn in_small() -> Outcome<DemoReport> {
@@ -95,9 +57,7 @@ mod tests {
             excitation_candidates: 5,
             ..DemoConfig::default()
         };
-        let robot = Robot::load("ur5").expect("built in");
-        run::<Ur5, JOINTS, PARAMETERS>(
-            &robot,
+        run(
             &config,
             ("native".to_owned(), "test".to_owned()),
             (&mut board(), Some(&mut board())),

@@ -1,5 +1,6 @@
 //! The page of the main job.
 
+use super::N;
 use super::long_run::WATCH_POINTS;
 use super::record::{DemoCurves, DemoReport, LearningPoint};
 use foretorque_workbench::excitation::Excitation;
@@ -12,11 +13,7 @@ const TRUTH: PlotColor = PlotColor::Truth;
 const BEFORE: PlotColor = PlotColor::Before;
 const AFTER: PlotColor = PlotColor::After;
 
-pub(super) fn page<const N: usize>(
-    report: &DemoReport,
-    curves: &DemoCurves<N>,
-    excitation: &Excitation,
-) -> Page {
+pub(super) fn page(report: &DemoReport, curves: &DemoCurves, excitation: &Excitation) -> Page {
     let robot = report.robot.to_uppercase();
     let lead = format!(
         "A {robot} whose model is wrong about its masses, inertias and friction moves for {:.0} s; the firmware learns the \
@@ -75,7 +72,7 @@ fn from_to(before: f64, after: f64) -> String {
 }
 
 /// The paper's Fig. 6, with the wrong model beside it.
-fn predicted<const N: usize>(report: &DemoReport, curves: &DemoCurves<N>) -> Section {
+fn predicted(report: &DemoReport, curves: &DemoCurves) -> Section {
     let points = &curves.validation;
     let torques = Panel::of_joints(N, "tau / N·m", |j| {
         vec![
@@ -158,7 +155,7 @@ fn halved_after(points: &[LearningPoint]) -> String {
         })
 }
 
-fn tracking<const N: usize>(report: &DemoReport, curves: &DemoCurves<N>) -> Section {
+fn tracking(report: &DemoReport, curves: &DemoCurves) -> Section {
     let kinds = &curves.tracking;
     let panels = Panel::of_joints(N, "error / mrad", |j| {
         let kinds = [
@@ -197,7 +194,7 @@ fn tracking<const N: usize>(report: &DemoReport, curves: &DemoCurves<N>) -> Sect
     )
 }
 
-fn shares<const N: usize>(curves: &DemoCurves<N>) -> Section {
+fn shares(curves: &DemoCurves) -> Section {
     let points = &curves.validation;
     let panels = Panel::of_joints(N, "tau / N·m", |j| {
         vec![

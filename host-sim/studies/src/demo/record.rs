@@ -1,8 +1,10 @@
 //! The figures of `report.json`, and the curves of the page.
 
+use super::N;
+use super::setup::ErrorCurve;
 use foretorque_link::telemetry::Statistics;
 use foretorque_workbench::dynamics::Joints;
-use foretorque_workbench::report::closed_loop::BoardCost;
+use foretorque_workbench::report::closed_loop::{BoardCost, LinkReport};
 use foretorque_workbench::report::page::percent;
 use serde::Serialize;
 
@@ -152,20 +154,7 @@ pub struct LinkFigures {
 impl LinkFigures {
     /// Sums the counters of several stretches between resets.
     pub(super) fn of(stretches: &[Statistics]) -> Self {
-        let errors = |s: &Statistics| {
-            [
-                s.crc_errors,
-                s.framing_errors,
-                s.foreign_version,
-                s.unknown,
-                s.missed,
-                s.repeated,
-                s.overruns,
-                s.replies_lost,
-            ]
-            .into_iter()
-            .sum::<u32>()
-        };
+        let errors = |s: &Statistics| LinkReport::from(s).errors() + s.replies_lost;
         Self {
             frames: stretches.iter().map(|s| s.frames).sum(),
             errors: stretches.iter().map(errors).sum(),
@@ -196,18 +185,18 @@ pub struct UsartFigures {
 
 /// Curves of the page.
 #[derive(Clone, Debug, Default)]
-pub(super) struct DemoCurves<const N: usize> {
+pub(super) struct DemoCurves {
     /// Samples of the unseen path that the figures count; the curves show some of them.
     pub(super) validation_samples: usize,
     /// The unseen path.
-    pub(super) validation: Vec<ValidationPoint<N>>,
+    pub(super) validation: Vec<ValidationPoint>,
     /// Position error on the unseen path for every kind of control: time, s, and error, mrad.
-    pub(super) tracking: Tracking<Vec<(f64, Joints<N>)>>,
+    pub(super) tracking: Tracking<ErrorCurve>,
 }
 
 /// One instant of the unseen path, torques in N·m.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ValidationPoint<const N: usize> {
+pub(super) struct ValidationPoint {
     pub(super) t_s: f64,
     pub(super) truth: Joints<N>,
     pub(super) before: Joints<N>,

@@ -1,5 +1,6 @@
 //! Size and setup of the main job, arm, controller, paths and the wrong prior of every board; and its stages.
 
+use super::{N, P, Ur5};
 use crate::{Progress, StudyError, bank_of};
 use foretorque::arm::Arm;
 use foretorque::feedforward::Torque;
@@ -14,7 +15,7 @@ use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 
 /// The setup of every board of the job.
-pub(super) struct Setup<const N: usize> {
+pub(super) struct Setup {
     pub(super) series: Excitation,
     pub(super) excitation: Trajectory<N>,
     pub(super) validation: Trajectory<N>,
@@ -24,13 +25,10 @@ pub(super) struct Setup<const N: usize> {
     pub(super) period_s: f64,
 }
 
-impl<const N: usize> Setup<N> {
-    pub(super) fn new<A: Arm<N, P>, const P: usize>(
-        robot: &Robot,
-        config: &DemoConfig,
-        progress: Progress<'_>,
-    ) -> Result<Self, StudyError> {
-        let other_size = || StudyError::Joints(robot.joint_count());
+impl Setup {
+    pub(super) fn new(config: &DemoConfig, progress: Progress<'_>) -> Result<Self, StudyError> {
+        let robot = &Robot::load(Ur5::NAME)?;
+        let other_size = || StudyError::Joints(N);
         let truth = robot.perturbed(config.seed, &Perturbation::PLANT);
         let wrong = truth.perturbed(config.seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
         let search = QuickConfig {
@@ -53,7 +51,7 @@ impl<const N: usize> Setup<N> {
             plant: Plant::new(&truth, PlantConfig::default(), config.seed)
                 .ok_or_else(other_size)?,
             pd: PdConfig::tuned(&nominal, config.pd_bandwidth_hz, config.period_s),
-            prior: bank_of::<A, N, P>(&wrong),
+            prior: bank_of::<Ur5, N, P>(&wrong),
             period_s: config.period_s,
         })
     }
@@ -116,17 +114,17 @@ impl DemoConfig {
 const WATCH_EVERY_S: f64 = 1.0;
 
 /// Position error over time: s and mrad.
-pub(super) type ErrorCurve<const N: usize> = Vec<(f64, Joints<N>)>;
+pub(super) type ErrorCurve = Vec<(f64, Joints<N>)>;
 
 /// Plays the unseen path in closed loop; the error in figures, and as a thinned curve.
-pub(super) fn track<const N: usize>(
+pub(super) fn track(
     plant: &mut Plant<N>,
-    setup: &Setup<N>,
+    setup: &Setup,
     ticks: usize,
     mut board: Option<&mut Client<N>>,
     stage: &'static str,
     progress: Progress<'_>,
-) -> Result<(TrackingError<N>, ErrorCurve<N>), BoardError> {
+) -> Result<(TrackingError<N>, ErrorCurve), BoardError> {
     let (mut error, mut curve) = (TrackingError::default(), Vec::new());
     let every = (ticks / PAGE_POINTS).max(1);
     let mut run = ClosedLoop::new(
@@ -152,21 +150,21 @@ pub(super) fn track<const N: usize>(
 }
 
 /// Bits of one reply: torques and flags.
-pub(super) type ReplyBits<const N: usize> = ([u32; N], u16);
+pub(super) type ReplyBits = ([u32; N], u16);
 
 /// From the wrong prior on: plays the excitation with learning on, then freezes. Returns the bits of the replies.
 ///
 /// The board starts as after boot, so that every board goes through the very same ticks. `watch` is called every second
 /// of the arm's time, and at the end.
-pub(super) fn learn<const N: usize>(
+pub(super) fn learn(
     board: &mut Client<N>,
-    setup: &Setup<N>,
+    setup: &Setup,
     plant: &mut Plant<N>,
     ticks: usize,
     mut watch: impl FnMut(&mut Client<N>, &Plant<N>, f64) -> Result<(), StudyError>,
     stage: &'static str,
     progress: Progress<'_>,
-) -> Result<Vec<ReplyBits<N>>, StudyError> {
+) -> Result<Vec<ReplyBits>, StudyError> {
     board.reset()?;
     board.upload_bank(&setup.prior)?;
     let mut replies = Vec::with_capacity(ticks);
@@ -195,7 +193,7 @@ pub(super) fn learn<const N: usize>(
 }
 
 /// Torques that the board predicts along `path`.
-pub(super) fn predictions<const N: usize>(
+pub(super) fn predictions(
     board: &mut Client<N>,
     path: &[(f64, State<N>)],
     stage: &'static str,
@@ -211,7 +209,7 @@ pub(super) fn predictions<const N: usize>(
 }
 
 /// Error of these torques against what the motion takes at the arm's present age.
-pub(super) fn error_of<const N: usize>(
+pub(super) fn error_of(
     plant: &Plant<N>,
     path: &[(f64, State<N>)],
     torques: &[Torque<N>],

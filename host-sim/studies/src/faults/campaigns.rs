@@ -113,9 +113,9 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
         Ok(watchdog_bites(lengths.times, seed)?)
     }));
     for crash in Crash::ALL {
-        let trace = scratch.join(format!("{}.trace", crash.name().replace(' ', "-")));
+        let trace = scratch.join(format!("{}.trace", crash.name.replace(' ', "-")));
         let times = lengths.times.div_ceil(20);
-        all.push(Scenario::new(crash.name(), move || {
+        all.push(Scenario::new(crash.name, move || {
             Ok(crashes(crash, times, trace)?)
         }));
     }

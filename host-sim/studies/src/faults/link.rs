@@ -52,18 +52,10 @@ impl Host {
     /// Frames to send in the next tick.
     fn frames(&mut self) -> Vec<Frame> {
         let mut messages = vec![self.message(&self.sample())];
-        if self.tick.is_multiple_of(ARM_EVERY) {
-            match self.rig.state {
-                SafetyState::Fault => messages.push(HostMessage::ClearFault),
-                SafetyState::Disarmed => messages.push(HostMessage::Arm),
-                _ => {}
-            }
-        }
+        messages.extend(order(self.tick, self.rig.state));
         self.tick += 1;
-        messages
-            .iter()
-            .map(|message| self.rig.frame(message))
-            .collect()
+        let messages = messages.iter();
+        messages.map(|message| self.rig.frame(message)).collect()
     }
 
     /// A sample of this tick. Its answer waits for the learning step, which the reference finishes before its next frame.
@@ -78,11 +70,7 @@ impl Host {
 
     /// One undamaged tick.
     pub(super) fn work(&mut self) -> Result<Round, BoardError> {
-        let line: Vec<u8> = self
-            .frames()
-            .into_iter()
-            .flat_map(|frame| frame.bytes)
-            .collect();
+        let line = bytes_of(self.frames());
         self.rig.send(&line)
     }
 
@@ -113,6 +101,16 @@ impl Host {
     }
 }
 
+/// The order of a host in one tick to have torque, from a board in this state.
+pub(super) fn order(tick: u32, state: SafetyState) -> Option<HostMessage<JOINTS>> {
+    match state {
+        _ if !tick.is_multiple_of(ARM_EVERY) => None,
+        SafetyState::Fault => Some(HostMessage::ClearFault),
+        SafetyState::Disarmed => Some(HostMessage::Arm),
+        _ => None,
+    }
+}
+
 /// Desired and measured motion of the host in one tick.
 pub(super) fn motion(tick: u32) -> JointSample<JOINTS> {
     let t = tick as f32 * 1e-3;
@@ -131,27 +129,50 @@ pub(super) fn motion(tick: u32) -> JointSample<JOINTS> {
     }
 }
 
-/// `ticks` samples over a line that does `damage`.
+/// `ticks` periods of a host on a line; `line` makes of the frames of a period the bytes that arrive, and counts the faults in
+/// them.
+///
+/// * `shows` every fault must show in the counters of the board
+fn on_line(
+    name: &str,
+    transport: Box<dyn Transport>,
+    ticks: u32,
+    shows: bool,
+    mut line: impl FnMut(&mut Host, Vec<Frame>) -> (Vec<u8>, u64),
+) -> Result<Campaign, BoardError> {
+    let mut campaign = Campaign::new(name, &transport.name());
+    let mut host = Host::new(transport, true)?;
+    for _ in 0..ticks {
+        let frames = host.frames();
+        let (bytes, injected) = line(&mut host, frames);
+        let round = host.rig.send(&bytes)?;
+        campaign.count(&round, injected);
+        if shows && !round.noticed {
+            campaign.unnoticed += injected;
+        }
+    }
+    let back = host.come_back(&mut campaign)?;
+    Ok(host.close(campaign, back))
+}
+
+fn bytes_of(frames: Vec<Frame>) -> Vec<u8> {
+    frames.into_iter().flat_map(|frame| frame.bytes).collect()
+}
+
+/// Samples over a line that does `damage`.
 pub fn damaged_line(
     transport: Box<dyn Transport>,
     damage: Damage,
     ticks: u32,
     seed: u64,
 ) -> Result<Campaign, BoardError> {
-    let mut campaign = Campaign::new(damage.name(), &transport.name());
     let mut line = BadLine::new(damage, ChaCha8Rng::seed_from_u64(seed));
-    let mut host = Host::new(transport, true)?;
-    for _ in 0..ticks {
+    on_line(damage.name(), transport, ticks, true, |_, frames| {
         let before = line.injected;
-        let frames = host.frames();
-        let bytes: Vec<u8> = frames
-            .iter()
-            .flat_map(|frame| line.carry(&frame.bytes))
-            .collect();
-        campaign.note(&host.rig.send(&bytes)?, line.injected - before);
-    }
-    let back = host.come_back(&mut campaign)?;
-    Ok(host.close(campaign, back))
+        let carried = frames.iter().flat_map(|frame| line.carry(&frame.bytes));
+        let bytes = carried.collect();
+        (bytes, line.injected - before)
+    })
 }
 
 /// Samples and motions with numbers that are none, are infinite, or are too small to be normal.
@@ -160,36 +181,27 @@ pub fn strange_numbers(
     ticks: u32,
     seed: u64,
 ) -> Result<Campaign, BoardError> {
-    let mut campaign = Campaign::new("NaN, infinite and denormal numbers", &transport.name());
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut host = Host::new(transport, true)?;
-    for _ in 0..ticks {
-        let mut line: Vec<u8> = Vec::new();
-        let mut injected = 0;
-        for frame in host.frames() {
-            line.extend(frame.bytes);
+    let name = "NaN, infinite and denormal numbers";
+    on_line(name, transport, ticks, false, |host, frames| {
+        let mut bytes = bytes_of(frames);
+        if !random.random_ratio(1, 4) {
+            return (bytes, 0);
         }
-        if random.random_ratio(1, 4) {
-            let message = if random.random() {
-                let mut sample = host.sample();
-                spoil(&mut sample, &mut random);
-                host.message(&sample)
-            } else {
-                let mut motion = MotionFrame::from(&host.sample().desired);
-                let rows = [&mut motion.q, &mut motion.qd, &mut motion.qdd];
-                for row in rows {
-                    row[random.random_range(0..JOINTS)] = strange(&mut random);
-                }
-                HostMessage::Evaluate(motion)
-            };
-            line.extend(host.rig.frame(&message).bytes);
-            injected = 1;
-        }
-        let round = host.rig.send(&line)?;
-        campaign.count(&round, injected);
-    }
-    let back = host.come_back(&mut campaign)?;
-    Ok(host.close(campaign, back))
+        let message = if random.random() {
+            let mut sample = host.sample();
+            spoil(&mut sample, &mut random);
+            host.message(&sample)
+        } else {
+            let mut motion = MotionFrame::from(&host.sample().desired);
+            for row in [&mut motion.q, &mut motion.qd, &mut motion.qdd] {
+                row[random.random_range(0..JOINTS)] = strange(&mut random);
+            }
+            HostMessage::Evaluate(motion)
+        };
+        bytes.extend(host.rig.frame(&message).bytes);
+        (bytes, 1)
+    })
 }
 
 fn strange(random: &mut ChaCha8Rng) -> f32 {
@@ -218,23 +230,17 @@ pub fn foreign_frames(
     ticks: u32,
     seed: u64,
 ) -> Result<Campaign, BoardError> {
-    let mut campaign = Campaign::new("frames of another version or robot", &transport.name());
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut host = Host::new(transport, true)?;
-    for _ in 0..ticks {
-        let mut line: Vec<u8> = Vec::new();
-        let injected = u64::from(random.random_ratio(1, 4));
-        if injected > 0 {
-            line.extend(foreign(&mut random));
-        }
-        for frame in host.frames() {
-            line.extend(frame.bytes);
-        }
-        let round = host.rig.send(&line)?;
-        campaign.note(&round, injected);
-    }
-    let back = host.come_back(&mut campaign)?;
-    Ok(host.close(campaign, back))
+    let name = "frames of another version or robot";
+    on_line(name, transport, ticks, true, |_, frames| {
+        let injected = random.random_ratio(1, 4);
+        let first = if injected {
+            foreign(&mut random)
+        } else {
+            Vec::new()
+        };
+        ([first, bytes_of(frames)].concat(), u64::from(injected))
+    })
 }
 
 /// A sound frame that is not for this board.

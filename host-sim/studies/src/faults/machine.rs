@@ -6,12 +6,14 @@ use crate::StudyError;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::safety::{SafetyReason, SafetyState, Task, TaskCheckIn};
+use foretorque_link::session::{BoardDescription, NoClock, NoLocalSensor};
 use foretorque_link::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
-use foretorque_workbench::board::qemu::{Emulator, EmulatorError, Image, QemuOptions};
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Client, Native};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::fs;
+use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -20,53 +22,40 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const ON: &str = "write (size 4, offset 0x018, value 0x00001000)";
 const OFF: &str = "write (size 4, offset 0x018, value 0x10000000)";
 
-/// A way of failing, and the letter that asks for it.
+/// A way of failing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Crash {
-    /// A panic.
-    Panic,
-    /// An undefined instruction, which is a hard fault.
-    UndefinedInstruction,
-    /// A stack that grows beyond its region.
-    StackOverflow,
-    /// An interrupt that nobody handles.
-    StrayInterrupt,
+pub struct Crash {
+    /// Name in a report.
+    pub name: &'static str,
+    /// Byte that makes the firmware fail in this way.
+    letter: u8,
+    /// Reset reason that the restarted board reports.
+    pub reason: ResetReason,
 }
 
 impl Crash {
+    /// A panic.
+    pub const PANIC: Self = Self::new("panic", b'p', ResetReason::Panic);
+    /// An undefined instruction, which is a hard fault.
+    pub const UNDEFINED_INSTRUCTION: Self = Self::new("hard fault", b'u', ResetReason::Fault);
+    /// A stack that grows beyond its region.
+    pub const STACK_OVERFLOW: Self = Self::new("stack overflow", b's', ResetReason::Fault);
+    /// An interrupt that nobody handles.
+    pub const STRAY_INTERRUPT: Self = Self::new("stray interrupt", b'i', ResetReason::Fault);
+
     /// All of them.
     pub const ALL: [Self; 4] = [
-        Self::Panic,
-        Self::UndefinedInstruction,
-        Self::StackOverflow,
-        Self::StrayInterrupt,
+        Self::PANIC,
+        Self::UNDEFINED_INSTRUCTION,
+        Self::STACK_OVERFLOW,
+        Self::STRAY_INTERRUPT,
     ];
 
-    /// Name in a report.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Panic => "panic",
-            Self::UndefinedInstruction => "hard fault",
-            Self::StackOverflow => "stack overflow",
-            Self::StrayInterrupt => "stray interrupt",
-        }
-    }
-
-    /// Byte that makes the firmware fail in this way.
-    pub const fn letter(self) -> u8 {
-        match self {
-            Self::Panic => b'p',
-            Self::UndefinedInstruction => b'u',
-            Self::StackOverflow => b's',
-            Self::StrayInterrupt => b'i',
-        }
-    }
-
-    /// Reset reason that the restarted board reports.
-    pub const fn reason(self) -> ResetReason {
-        match self {
-            Self::Panic => ResetReason::Panic,
-            _ => ResetReason::Fault,
+    const fn new(name: &'static str, letter: u8, reason: ResetReason) -> Self {
+        Self {
+            name,
+            letter,
+            reason,
         }
     }
 }
@@ -79,7 +68,7 @@ pub struct Trial {
 
 impl Trial {
     /// Starts it; `trace` is written.
-    pub fn start(trace: PathBuf) -> Result<Self, EmulatorError> {
+    pub fn start(trace: PathBuf) -> io::Result<Self> {
         let mut options = QemuOptions::new(Image::Joint);
         options.elf.set_file_name("faults");
         options.trace = Some(trace.clone());
@@ -88,7 +77,7 @@ impl Trial {
     }
 
     /// The next hello on the line; `None` when none comes in time.
-    pub fn hello(&mut self) -> Result<Option<BoardHello>, EmulatorError> {
+    pub fn hello(&mut self) -> io::Result<Option<BoardHello>> {
         let mut decoder = Decoder::new();
         let mut buffer = [0; 1];
         while self.emulator.read(&mut buffer, PATIENCE)? == 1 {
@@ -102,8 +91,8 @@ impl Trial {
     }
 
     /// Asks the firmware to fail.
-    pub fn fail(&mut self, crash: Crash) -> Result<(), EmulatorError> {
-        self.emulator.write(&[crash.letter()])
+    pub fn fail(&mut self, crash: Crash) -> io::Result<()> {
+        self.emulator.write(&[crash.letter])
     }
 
     /// States of the torque enable so far: true for on.
@@ -121,8 +110,8 @@ impl Trial {
 }
 
 /// `times` failures in a row of one firmware. A torque is wrong when the enable pin is not off before the restart.
-pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campaign, EmulatorError> {
-    let mut campaign = Campaign::new(crash.name(), "qemu (faults)");
+pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> io::Result<Campaign> {
+    let mut campaign = Campaign::new(crash.name, "qemu (faults)");
     let mut trial = Trial::start(trace)?;
     trial.hello()?;
     for _ in 0..times {
@@ -130,7 +119,7 @@ pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campaign, Emu
         trial.fail(crash)?;
         let reported = trial.hello()?.map(|hello| hello.reset_reason);
         campaign.injected += 1;
-        campaign.recovered += u64::from(reported == Some(crash.reason()));
+        campaign.recovered += u64::from(reported == Some(crash.reason));
         // Off on the way out; off by the constructor after the restart.
         let switched = trial.switched();
         let off = switched.get(before..before + 2) == Some(&[false, false]);
@@ -185,7 +174,11 @@ pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
 
 /// A board restarted by its watchdog: no torque before it is armed anew, and it can be.
 fn restarted() -> Result<(bool, bool), StudyError> {
-    let native = Native::<Ur5, JOINTS, PARAMETERS>::restarted(ResetReason::Watchdog)?;
+    let description = BoardDescription {
+        reset_reason: ResetReason::Watchdog,
+        ..BoardDescription::plain(NoClock)
+    };
+    let native = Native::<Ur5, JOINTS, PARAMETERS>::described(description, NoLocalSensor)?;
     let mut board = Client::connect::<Ur5, PARAMETERS>(Box::new(native), PATIENCE)?;
     let zero = JointVector::zeros();
     let still = JointSample {

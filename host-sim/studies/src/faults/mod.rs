@@ -77,14 +77,6 @@ impl Campaign {
         self.injected > 0 && clean && back && kept
     }
 
-    /// Counts a round on the line in which `injected` faults should show in the counters.
-    fn note(&mut self, round: &Round, injected: u64) {
-        self.count(round, injected);
-        if injected > 0 && !round.noticed {
-            self.unnoticed += injected;
-        }
-    }
-
     /// Counts a round: right torques in it are the recovery from the faults of earlier rounds.
     fn count(&mut self, round: &Round, injected: u64) {
         if round.right_torques > 0 {
@@ -96,43 +88,7 @@ impl Campaign {
     }
 }
 
-/// Headings of the counts, with the width of each on a terminal.
-const HEADINGS: [(&str, usize); 12] = [
-    ("fault", 42),
-    ("board", 15),
-    ("injected", 9),
-    ("torques", 9),
-    ("wrong", 7),
-    ("lost", 5),
-    ("recovered", 9),
-    ("unseen", 6),
-    ("unallowed", 9),
-    ("re-armed", 8),
-    ("time-outs", 9),
-    ("mistimed", 8),
-];
-
-/// Headings of [`row`].
-pub fn header() -> String {
-    line(HEADINGS.map(|(heading, _)| heading.to_owned()))
-}
-
-/// The counts of one campaign, for a terminal.
-pub fn row(campaign: &Campaign) -> String {
-    line(cells(campaign))
-}
-
-/// Words to the left, numbers to the right.
-fn line(cells: [String; HEADINGS.len()]) -> String {
-    let cells = cells.iter().zip(HEADINGS).enumerate();
-    let cells = cells.map(|(place, (cell, (_, width)))| match place {
-        0 | 1 => format!("{cell:<width$}"),
-        _ => format!("{cell:>width$}"),
-    });
-    cells.collect::<Vec<_>>().join(" ")
-}
-
-fn cells(campaign: &Campaign) -> [String; HEADINGS.len()] {
+fn cells(campaign: &Campaign) -> [String; 12] {
     let count = |count: u64| count.to_string();
     [
         campaign.name.clone(),

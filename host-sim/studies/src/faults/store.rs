@@ -32,6 +32,12 @@ fn load<const S: usize>(store: &mut Store<Flash<S>>) -> Result<Vec<u8>, StoreErr
     store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec)
 }
 
+/// Saves set `number`; true if it is loaded afterwards.
+fn keeps<const S: usize>(store: &mut Store<Flash<S>>, number: u32) -> bool {
+    let newest = set(number);
+    store.save(Ur5::HASH, &newest).is_ok() && load(store) == Ok(newest)
+}
+
 /// A store in new flash after sets 1 to `saves`.
 fn with_history<const S: usize>(saves: u32, seed: u64) -> Result<Store<Flash<S>>, StoreError> {
     let mut store = Store::new(Flash::new(seed));
@@ -68,10 +74,7 @@ pub fn power_cuts<const S: usize>(
                     Err(_) => false,
                 };
                 campaign.lost_sets += u64::from(!kept || reported);
-                let newest = set(saves + 2);
-                let again = store.save(Ur5::HASH, &newest).is_ok()
-                    && load(&mut store).as_ref() == Ok(&newest);
-                campaign.recovered += u64::from(again);
+                campaign.recovered += u64::from(keeps(&mut store, saves + 2));
             }
         }
     }
@@ -155,9 +158,7 @@ pub fn protected<const S: usize>(
             store.flash_mut().protect(Protection::None);
             campaign.injected += 1;
             campaign.lost_sets += u64::from(!kept);
-            let newest = set(saves + 1);
-            let again = store.save(Ur5::HASH, &newest).is_ok();
-            campaign.recovered += u64::from(again && load(&mut store) == Ok(newest));
+            campaign.recovered += u64::from(keeps(&mut store, saves + 1));
         }
     }
     Ok(campaign)
@@ -198,9 +199,7 @@ pub fn foreign_sets<const S: usize>(seed: u64) -> Result<Campaign, StoreError> {
                 Err(_) => false,
             };
             campaign.lost_sets += u64::from(!kept);
-            let newest = set(own + 1);
-            let again = store.save(Ur5::HASH, &newest).is_ok();
-            campaign.recovered += u64::from(again && load(&mut store) == Ok(newest));
+            campaign.recovered += u64::from(keeps(&mut store, own + 1));
         }
     }
     Ok(campaign)

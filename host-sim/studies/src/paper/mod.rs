@@ -124,30 +124,28 @@ impl PaperConfig {
 
     /// All cells in the order of the jobs: conditions, then numbers of rows, each with all seeds.
     fn cells(&self) -> Vec<Cell> {
-        let mut kinds = Vec::new();
+        let mut cells = Vec::new();
+        let mut add = |noise_percent, friction, outlier_percent, rows| {
+            let seeds = self.seed..self.seed + self.seeds;
+            cells.extend(seeds.map(|seed| Cell {
+                noise_percent,
+                friction,
+                outlier_percent,
+                rows,
+                seed,
+            }));
+        };
         for &outlier_percent in &self.outlier_percent {
             for &friction in &self.friction {
                 for &noise_percent in &self.noise_percent {
-                    kinds.push((noise_percent, friction, outlier_percent, ROWS * 4 / 5));
+                    add(noise_percent, friction, outlier_percent, ROWS * 4 / 5);
                 }
             }
         }
         for &rows in &self.rows {
-            kinds.push((1.0, FrictionKind::CoulombViscous, 0.0, rows));
+            add(1.0, FrictionKind::CoulombViscous, 0.0, rows);
         }
-        let seeds = self.seed..self.seed + self.seeds;
-        kinds
-            .into_iter()
-            .flat_map(|(noise_percent, friction, outlier_percent, rows)| {
-                seeds.clone().map(move |seed| Cell {
-                    noise_percent,
-                    friction,
-                    outlier_percent,
-                    rows,
-                    seed,
-                })
-            })
-            .collect()
+        cells
     }
 }
 
@@ -220,19 +218,11 @@ pub struct Times {
 
 /// The conditions in the order of the jobs.
 fn summarise(records: &[CellRecord]) -> Vec<Condition> {
-    let same = |a: &&CellRecord, b: &&CellRecord| {
-        let key = |r: &CellRecord| {
-            let cell = r.cell;
-            (
-                cell.noise_percent.to_bits(),
-                cell.outlier_percent.to_bits(),
-                cell.rows,
-            )
-        };
-        key(a) == key(b) && a.cell.friction == b.cell.friction
+    let kind = |record: &CellRecord| Cell {
+        seed: 0,
+        ..record.cell
     };
-    let records: Vec<&CellRecord> = records.iter().collect();
-    let groups = records.chunk_by(same);
+    let groups = records.chunk_by(|a, b| kind(a) == kind(b));
     groups
         .filter_map(|draws| {
             let first = draws.first()?;
@@ -280,25 +270,18 @@ impl MethodSummary {
 
 /// Least times of training: what else the machine does only adds to them.
 fn times(records: &[CellRecord]) -> Times {
-    let mut all: BTreeMap<String, BTreeMap<usize, Vec<f64>>> = BTreeMap::new();
+    let mut all: BTreeMap<String, BTreeMap<usize, f64>> = BTreeMap::new();
     for record in records {
         for (name, draw) in &record.methods {
             let own = all.entry(name.clone()).or_default();
-            own.entry(record.cell.rows).or_default().push(draw.seconds);
+            let least = own.entry(record.cell.rows).or_insert(f64::INFINITY);
+            *least = least.min(draw.seconds);
         }
     }
-    let least = |seconds: Vec<f64>| seconds.into_iter().fold(f64::INFINITY, f64::min);
-    let by_rows = |own: BTreeMap<usize, Vec<f64>>| {
-        let times = own
-            .into_iter()
-            .map(|(rows, seconds)| (rows, least(seconds)));
-        times.collect()
-    };
+    let listed = all.into_iter();
+    let listed = listed.map(|(name, by_rows)| (name, by_rows.into_iter().collect()));
     Times {
         note: "seconds of training, sums over the rows apart, least of all draws (other work only adds); rows, seconds",
-        least_seconds: all
-            .into_iter()
-            .map(|(name, own)| (name, by_rows(own)))
-            .collect(),
+        least_seconds: listed.collect(),
     }
 }

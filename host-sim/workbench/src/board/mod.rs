@@ -74,16 +74,11 @@ pub enum BoardError {
     /// The board speaks another version of the protocol.
     #[error("the board speaks protocol version {0}, this program version {PROTOCOL_VERSION}")]
     WrongProtocol(u8),
-    /// The board drives another robot.
+    /// The board drives another robot: the identity that it reports, and the robot wanted.
     #[error(
-        "the board drives {found}, not {wanted}: `cargo firmware` builds that of the UR5, `cargo xtask arm` that of others"
+        "the board drives {0}, not {1}: `cargo firmware` builds that of the UR5, `cargo xtask arm` that of others"
     )]
-    WrongRobot {
-        /// The robot wanted.
-        wanted: String,
-        /// Identity that the board reports.
-        found: String,
-    },
+    WrongRobot(String, String),
     /// The board started over in the middle of the conversation.
     #[error("the board has started over ({0:?})")]
     Restarted(ResetReason),
@@ -93,14 +88,9 @@ pub enum BoardError {
     /// The answer is not one to the question.
     #[error("the board gave an answer to another question")]
     UnexpectedAnswer,
-    /// The bank belongs to another arm than the board's.
-    #[error("the bank is for {found}, the board drives {wanted}")]
-    WrongBank {
-        /// Arm of the board.
-        wanted: String,
-        /// Arm of the bank.
-        found: String,
-    },
+    /// The bank belongs to another arm than the board's: arm of the bank, arm of the board.
+    #[error("the bank is for {0}, the board drives {1}")]
+    WrongBank(String, String),
     /// The board has a write key, and this program was given none.
     #[error("the board has a write key: an upload needs --key-file")]
     NoKey,

@@ -4,7 +4,7 @@ use foretorque::learning::{ConfigError, Learner, LearnerConfig};
 use foretorque_link::session::{
     BoardDescription, Housekeeping, LocalSensor, Mailboxes, NoClock, NoLocalSensor, Session,
 };
-use foretorque_link::wire::{Capabilities, FrameBuffer, ResetReason};
+use foretorque_link::wire::FrameBuffer;
 use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
@@ -30,42 +30,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
     pub fn new() -> Result<Self, ConfigError> {
         Self::described(BoardDescription::plain(NoClock), NoLocalSensor)
     }
-
-    /// A board that has just restarted for `reset_reason`.
-    ///
-    /// Errors: the first limit of the arm that cannot work.
-    pub fn restarted(reset_reason: ResetReason) -> Result<Self, ConfigError> {
-        let board = BoardDescription {
-            reset_reason,
-            ..BoardDescription::plain(NoClock)
-        };
-        Self::described(board, NoLocalSensor)
-    }
-
-    /// A board with a timer, whose periods pass with [`timer`](Self::timer) alone.
-    ///
-    /// Errors: the first limit of the arm that cannot work.
-    pub fn with_timer() -> Result<Self, ConfigError> {
-        let mut board = BoardDescription::plain(NoClock);
-        board.capabilities = board.capabilities | Capabilities::TIMER;
-        Self::described(board, NoLocalSensor)
-    }
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Native<A, N, P, S> {
-    /// A board that has just booted and sent its hello, with a sensor of its own.
-    ///
-    /// Errors: the first limit of the arm that cannot work.
-    pub fn with_sensor(sensor: S) -> Result<Self, ConfigError> {
-        Self::described(BoardDescription::plain(NoClock), sensor)
-    }
-
     /// Session and sensor.
     pub fn parts(&mut self) -> (&mut Session<A, N, P>, &mut S) {
         (&mut self.session, &mut self.sensor)
     }
 
-    /// Lets one period of the board's timer pass, as on silicon beside the samples, whichever of the two paces the board.
+    /// Lets one period of the timer pass that the description of the board may have, as on silicon beside the samples, whichever
+    /// of the two paces the board.
     pub fn timer(&mut self) {
         self.select_arm();
         self.session
@@ -74,7 +48,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Native<A, 
         self.mailboxes.learner.work(&mut self.learner, &NoClock);
     }
 
-    fn described(board: BoardDescription, sensor: S) -> Result<Self, ConfigError> {
+    /// A board that has just booted as `board` describes and sent its hello, with a sensor of its own.
+    ///
+    /// Errors: the first limit of the arm that cannot work.
+    pub fn described(board: BoardDescription, sensor: S) -> Result<Self, ConfigError> {
         let session = Session::new(board)?;
         let period_s = session.configuration().period_us as f32 * 1e-6;
         let set = session.feed_forward().state().active;

@@ -6,7 +6,7 @@ pub use options::{Image, QemuOptions};
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -18,6 +18,10 @@ use nix::unistd::pipe2;
 use super::Transport;
 use super::child::Guarded;
 
+/// The emulator's program.
+const EMULATOR: &str = "qemu-system-arm";
+/// Longest time to the board's first byte.
+const BOOT: Duration = Duration::from_secs(10);
 /// Where the write key is (memory.x).
 const KEY_START: u32 = 0x080A_0000;
 /// Where the drives of a board on a drive bus are (memory.x).
@@ -28,32 +32,6 @@ const STORE_START: u32 = 0x080C_0000;
 const EXIT_WAIT: Duration = Duration::from_secs(2);
 /// Longest time in which a board may take no bytes.
 pub const PATIENCE: Duration = Duration::from_secs(10);
-
-/// Errors of an emulated board.
-#[derive(Debug, thiserror::Error)]
-pub enum EmulatorError {
-    /// There is no such program.
-    #[error("{0} is not installed: run `cargo xtask setup`")]
-    NotInstalled(PathBuf),
-    /// The firmware is not built.
-    #[error("no firmware at {0}: build it with `cargo firmware`")]
-    NoFirmware(PathBuf),
-    /// It could not be started.
-    #[error("the emulator did not start: {0}")]
-    Start(io::Error),
-    /// It ended while it was needed: how, and its last words.
-    #[error("the emulator died: {0}")]
-    Died(String),
-    /// It sent no hello after start-up.
-    #[error("the emulated board sent no hello within {:.1} s: is the ELF a firmware of this project?", .0.as_secs_f64())]
-    NoHello(Duration),
-    /// It takes no bytes.
-    #[error("the emulated board took no bytes for {:.1} s", .0.as_secs_f64())]
-    Silent(Duration),
-    /// The link to it broke.
-    #[error("link to the emulator: {0}")]
-    Link(io::Error),
-}
 
 /// A board in the emulator. Going out of scope ends the emulator.
 #[derive(Debug)]
@@ -72,12 +50,15 @@ pub struct Emulator {
 impl Emulator {
     /// Starts the emulator and waits for the first byte of the board's hello, before which the board receives nothing.
     ///
-    /// Errors: every variant of [`EmulatorError`], and then no emulator is left.
-    pub fn start(options: &QemuOptions) -> Result<Self, EmulatorError> {
+    /// Errors: emulator or firmware missing, an emulator that does not start, a board that does not greet; then no emulator is
+    /// left.
+    pub fn start(options: &QemuOptions) -> io::Result<Self> {
         if !options.elf.is_file() {
-            return Err(EmulatorError::NoFirmware(options.elf.clone()));
+            let elf = options.elf.display();
+            let problem = format!("no firmware at {elf}: build it with `cargo firmware`");
+            return Err(io::Error::other(problem));
         }
-        let mut command = Command::new(&options.emulator);
+        let mut command = Command::new(EMULATOR);
         command
             .args([
                 "-machine",
@@ -125,8 +106,10 @@ impl Emulator {
         }
         let process =
             Guarded::start(command, kept, options.core).map_err(|error| match error.kind() {
-                io::ErrorKind::NotFound => EmulatorError::NotInstalled(options.emulator.clone()),
-                _ => EmulatorError::Start(error),
+                io::ErrorKind::NotFound => io::Error::other(format!(
+                    "{EMULATOR} is not installed: run `cargo xtask setup`"
+                )),
+                _ => io::Error::other(format!("the emulator did not start: {error}")),
             })?;
         let mut emulator = Self {
             process,
@@ -140,8 +123,13 @@ impl Emulator {
             fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
         }
         let mut buffer = [0; 256];
-        match emulator.read(&mut buffer, options.boot)? {
-            0 => Err(EmulatorError::NoHello(options.boot)),
+        match emulator.read(&mut buffer, BOOT)? {
+            0 => {
+                let waited_s = BOOT.as_secs_f64();
+                Err(io::Error::other(format!(
+                    "the emulated board sent no hello within {waited_s:.1} s: is the ELF a firmware of this project?"
+                )))
+            }
             count => {
                 emulator.greeting.extend_from_slice(&buffer[..count]);
                 Ok(emulator)
@@ -159,15 +147,20 @@ impl Emulator {
         self.frame_ports.take()
     }
 
-    /// Sends all bytes. Errors: [`EmulatorError::Silent`] when the board takes nothing for [`PATIENCE`].
-    pub fn write(&mut self, mut bytes: &[u8]) -> Result<(), EmulatorError> {
+    /// Sends all bytes.
+    ///
+    /// Errors: an emulator that died; a board that takes nothing for [`PATIENCE`].
+    pub fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
         while !bytes.is_empty() {
             match nix::unistd::write(&self.to_board, bytes) {
                 Ok(sent) => bytes = &bytes[sent..],
                 Err(nix::Error::EINTR) => {}
                 Err(nix::Error::EAGAIN) => {
                     if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, PATIENCE)? {
-                        return Err(EmulatorError::Silent(PATIENCE));
+                        let waited_s = PATIENCE.as_secs_f64();
+                        let problem =
+                            format!("the emulated board took no bytes for {waited_s:.1} s");
+                        return Err(io::Error::other(problem));
                     }
                 }
                 Err(error) => return Err(self.broken(error)),
@@ -177,7 +170,7 @@ impl Emulator {
     }
 
     /// Waits at most `patience` for bytes and returns how many came; 0 when none did.
-    pub fn read(&mut self, buffer: &mut [u8], patience: Duration) -> Result<usize, EmulatorError> {
+    pub fn read(&mut self, buffer: &mut [u8], patience: Duration) -> io::Result<usize> {
         if !self.greeting.is_empty() {
             let count = buffer.len().min(self.greeting.len());
             buffer[..count].copy_from_slice(&self.greeting[..count]);
@@ -198,7 +191,7 @@ impl Emulator {
     }
 
     /// Hangs up and waits for the emulator to end by itself, as the bulk firmware does. True when it did so well.
-    pub fn hang_up(self, patience: Duration) -> Result<bool, EmulatorError> {
+    pub fn hang_up(self, patience: Duration) -> io::Result<bool> {
         let Self {
             mut process,
             to_board,
@@ -206,10 +199,8 @@ impl Emulator {
             ..
         } = self;
         drop((to_board, from_board));
-        Ok(process
-            .ended(patience)
-            .map_err(EmulatorError::Link)?
-            .is_some_and(|status| status.success()))
+        let status = process.ended(patience)?;
+        Ok(status.is_some_and(|status| status.success()))
     }
 
     /// Where the board's bytes come from.
@@ -218,19 +209,19 @@ impl Emulator {
     }
 
     /// Bytes, or the end of them, come within `patience`.
-    fn audible(&self, patience: Duration) -> Result<bool, EmulatorError> {
+    fn audible(&self, patience: Duration) -> io::Result<bool> {
         ready(self.ear().as_fd(), PollFlags::POLLIN, patience)
     }
 
     /// Why the link is gone: nearly always because the emulator is.
-    fn broken(&mut self, error: nix::Error) -> EmulatorError {
+    fn broken(&mut self, error: nix::Error) -> io::Error {
         match self.process.ended(EXIT_WAIT) {
             Ok(Some(status)) => {
                 let last = self
                     .process
                     .last_words()
                     .unwrap_or_else(|| "without a message".into());
-                EmulatorError::Died(format!("{status}; {last}"))
+                io::Error::other(format!("the emulator died: {status}; {last}"))
             }
             _ => link(error),
         }
@@ -243,20 +234,21 @@ impl Transport for Emulator {
     }
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.write(bytes).map_err(io::Error::other)
+        self.write(bytes)
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.read(buffer, timeout).map_err(io::Error::other)
+        self.read(buffer, timeout)
     }
 }
 
-fn link(error: nix::Error) -> EmulatorError {
-    EmulatorError::Link(error.into())
+fn link(error: nix::Error) -> io::Error {
+    let error = io::Error::from(error);
+    io::Error::other(format!("link to the emulator: {error}"))
 }
 
 /// Waits until `end` can be read or written. False after `patience`.
-fn ready(end: BorrowedFd<'_>, what: PollFlags, patience: Duration) -> Result<bool, EmulatorError> {
+fn ready(end: BorrowedFd<'_>, what: PollFlags, patience: Duration) -> io::Result<bool> {
     let deadline = Instant::now() + patience;
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
@@ -275,18 +267,15 @@ fn ready(end: BorrowedFd<'_>, what: PollFlags, patience: Duration) -> Result<boo
 /// To the board, from the board, and what the emulator inherits.
 type Ends = (OwnedFd, Option<OwnedFd>, Vec<OwnedFd>);
 
+fn pair() -> io::Result<(OwnedFd, OwnedFd)> {
+    let (family, kind) = (AddressFamily::Unix, SockType::Stream);
+    socketpair(family, kind, None, SockFlag::SOCK_CLOEXEC).map_err(link)
+}
+
 /// UART4 and USART6 on sockets, behind the ports of [`usart_link`].
-fn frame_links(command: &mut Command) -> Result<([OwnedFd; 2], [OwnedFd; 2]), EmulatorError> {
-    let pair = || {
-        socketpair(
-            AddressFamily::Unix,
-            SockType::Stream,
-            None,
-            SockFlag::SOCK_CLOEXEC,
-        )
-    };
-    let (usart6, theirs6) = pair().map_err(link)?;
-    let (uart4, theirs4) = pair().map_err(link)?;
+fn frame_links(command: &mut Command) -> io::Result<([OwnedFd; 2], [OwnedFd; 2])> {
+    let (usart6, theirs6) = pair()?;
+    let (uart4, theirs4) = pair()?;
     for (id, end) in [("usart6", &theirs6), ("uart4", &theirs4)] {
         let chardev = format!("socket,id={id},fd={}", end.as_raw_fd());
         command.args(["-chardev", &chardev]);
@@ -298,14 +287,8 @@ fn frame_links(command: &mut Command) -> Result<([OwnedFd; 2], [OwnedFd; 2]), Em
 }
 
 /// USART2 on a socket, the log on USART3. Nothing of it has a name in the file system, so nothing can be left there.
-fn usart_link(command: &mut Command, log: Option<&Path>) -> Result<Ends, EmulatorError> {
-    let (ours, theirs) = socketpair(
-        AddressFamily::Unix,
-        SockType::Stream,
-        None,
-        SockFlag::SOCK_CLOEXEC,
-    )
-    .map_err(link)?;
+fn usart_link(command: &mut Command, log: Option<&Path>) -> io::Result<Ends> {
+    let (ours, theirs) = pair()?;
     command
         .arg("-chardev")
         .arg(format!("socket,id=link,fd={}", theirs.as_raw_fd()))
@@ -315,7 +298,7 @@ fn usart_link(command: &mut Command, log: Option<&Path>) -> Result<Ends, Emulato
 }
 
 /// Two pipes, which the firmware opens through semihosting under the names their descriptors have.
-fn pipe_link(command: &mut Command) -> Result<Ends, EmulatorError> {
+fn pipe_link(command: &mut Command) -> io::Result<Ends> {
     let (board_reads, we_write) = pipe2(OFlag::O_CLOEXEC).map_err(link)?;
     let (we_read, board_writes) = pipe2(OFlag::O_CLOEXEC).map_err(link)?;
     command.arg("-semihosting-config").arg(format!(

@@ -12,30 +12,6 @@ pub use foretorque_f405::chip::LINK_BAUD as BAUD;
 /// How long a port may take no bytes.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Why a port could not be opened.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SerialError {
-    /// There is no such port; the ports there are.
-    #[error("there is no serial port {}{}", .0, others(.1))]
-    Missing(String, Vec<String>),
-    /// Somebody else has it.
-    #[error("serial port {0} is in use by another program")]
-    Busy(String),
-    /// Opening it is not allowed.
-    #[error("serial port {0} may not be opened: join the group that owns it")]
-    Denied(String),
-    /// Anything else, in the system's words.
-    #[error("serial port {0}: {1}")]
-    Other(String, String),
-}
-
-fn others(known: &[String]) -> String {
-    match known {
-        [] => ", nor any other".to_owned(),
-        known => format!("; there is {}", known.join(", ")),
-    }
-}
-
 /// The link to a board on a serial port: 8 data bits, no parity, one stop bit, no flow control.
 pub struct Serial {
     port: Box<dyn SerialPort>,
@@ -44,7 +20,9 @@ pub struct Serial {
 
 impl Serial {
     /// Opens `path`, for this program alone, at [`BAUD`] or another rate.
-    pub fn open(path: &str, baud: u32) -> Result<Self, SerialError> {
+    ///
+    /// Errors: a port that is missing, in use, or may not be opened.
+    pub fn open(path: &str, baud: u32) -> io::Result<Self> {
         let opened = serialport::new(path, baud).timeout(PATIENCE).open();
         let port = opened.map_err(|error| refusal(path, &error))?;
         // What a predecessor left unread is none of ours; a port that cannot discard it fails at the first read.
@@ -89,22 +67,31 @@ impl Transport for Serial {
     }
 }
 
-/// Meaning of the system's error.
-fn refusal(path: &str, error: &serialport::Error) -> SerialError {
-    let path = path.to_owned();
-    if !std::path::Path::new(&path).exists() {
+/// The system's error in words.
+fn refusal(path: &str, error: &serialport::Error) -> io::Error {
+    use io::ErrorKind as Io;
+    if !std::path::Path::new(path).exists() {
         let known = serialport::available_ports().unwrap_or_default();
-        return SerialError::Missing(path, known.into_iter().map(|port| port.port_name).collect());
+        let known: Vec<String> = known.into_iter().map(|port| port.port_name).collect();
+        let others = match known.as_slice() {
+            [] => ", nor any other".to_owned(),
+            known => format!("; there is {}", known.join(", ")),
+        };
+        let text = format!("there is no serial port {path}{others}");
+        return io::Error::new(Io::NotFound, text);
     }
-    match error.kind() {
-        ErrorKind::Io(io::ErrorKind::ResourceBusy | io::ErrorKind::WouldBlock) => {
-            SerialError::Busy(path)
+    let (kind, problem) = match error.kind() {
+        // The crate makes NoDevice of EBUSY.
+        ErrorKind::NoDevice | ErrorKind::Io(Io::ResourceBusy | Io::WouldBlock) => {
+            (Io::ResourceBusy, " is in use by another program".to_owned())
         }
-        // What the crate makes of EBUSY.
-        ErrorKind::NoDevice => SerialError::Busy(path),
-        ErrorKind::Io(io::ErrorKind::PermissionDenied) => SerialError::Denied(path),
-        _ => SerialError::Other(path, error.description.clone()),
-    }
+        ErrorKind::Io(Io::PermissionDenied) => (
+            Io::PermissionDenied,
+            " may not be opened: join the group that owns it".to_owned(),
+        ),
+        _ => (Io::Other, format!(": {}", error.description)),
+    };
+    io::Error::new(kind, format!("serial port {path}{problem}"))
 }
 
 #[cfg(test)]
@@ -116,9 +103,9 @@ mod tests {
     #[test]
     fn a_port_that_is_not_there_is_named() {
         let error = Serial::open("/dev/ttyNOWHERE7", BAUD).err();
-        assert!(
-            matches!(&error, Some(SerialError::Missing(port, _)) if port == "/dev/ttyNOWHERE7")
-        );
+        let text = error.expect("it is not there").to_string();
+        let expected = "there is no serial port /dev/ttyNOWHERE7";
+        assert!(text.starts_with(expected), "{text}");
     }
 
     #[test]
@@ -127,10 +114,8 @@ mod tests {
         let path = end.name().expect("it has a name");
         drop(end);
         let _first = Serial::open(&path, 115_200).expect("it is free");
-        assert_eq!(
-            Serial::open(&path, 115_200).err(),
-            Some(SerialError::Busy(path))
-        );
+        let error = Serial::open(&path, 115_200).err().expect("it is in use");
+        assert_eq!(error.kind(), io::ErrorKind::ResourceBusy, "{error}");
     }
 
     #[test]

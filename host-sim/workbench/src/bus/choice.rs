@@ -7,91 +7,75 @@ use super::{BusError, Line};
 use std::fmt;
 use std::str::FromStr;
 
-/// Kinds of buses that a command may name; two names, separated by a comma, are two buses of one arm.
+/// A bus that a command may name; two names, separated by a comma, are two buses of one arm.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BusChoice {
-    /// Simulated drives.
-    Sim,
-    /// Interfaces of Linux.
-    SocketCan(Vec<String>),
-    /// Adapters on serial ports.
-    Slcan(Vec<String>),
-    /// mjbots' adapters on serial ports.
-    Fdcanusb(Vec<String>),
-    /// Multicast groups.
-    Udp(Vec<String>),
+pub struct BusChoice {
+    /// One of [`KINDS`].
+    kind: &'static str,
+    /// Interfaces, ports or groups; none of simulated drives.
+    names: Vec<String>,
 }
 
-impl FromStr for BusChoice {
-    type Err = String;
+/// Simulated drives; interfaces of Linux; adapters on serial ports, those of mjbots; multicast groups.
+const KINDS: [&str; 5] = ["sim", "socketcan", "slcan", "fdcanusb", "udp"];
 
-    fn from_str(text: &str) -> Result<Self, String> {
-        const KINDS: &str =
+impl FromStr for BusChoice {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        const WRONG: &str =
             "not one of sim, socketcan:IF, slcan:PORT, fdcanusb:PORT, udp:GROUP; two buses: IF,IF";
-        if text == "sim" {
-            return Ok(Self::Sim);
+        let (kind, names) = match text.split_once(':') {
+            Some((kind, names)) => (kind, names.split(',').map(str::to_owned).collect()),
+            None => (text, Vec::new()),
+        };
+        let kind = KINDS
+            .into_iter()
+            .find(|known| *known == kind)
+            .ok_or(WRONG)?;
+        let counts = if kind == "sim" { 0..=0 } else { 1..=2 };
+        match counts.contains(&names.len()) && !names.iter().any(String::is_empty) {
+            true => Ok(Self { kind, names }),
+            false => Err(WRONG),
         }
-        let (kind, names) = text.split_once(':').ok_or(KINDS)?;
-        let names: Vec<String> = names.split(',').map(str::to_owned).collect();
-        if names.len() > 2 || names.iter().any(String::is_empty) {
-            return Err(KINDS.to_owned());
-        }
-        Ok(match kind {
-            "socketcan" => Self::SocketCan(names),
-            "slcan" => Self::Slcan(names),
-            "fdcanusb" => Self::Fdcanusb(names),
-            "udp" => Self::Udp(names),
-            _ => return Err(KINDS.to_owned()),
-        })
     }
 }
 
 impl fmt::Display for BusChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (kind, names) = match self {
-            Self::Sim => return f.write_str("sim"),
-            Self::SocketCan(names) => ("socketcan", names),
-            Self::Slcan(names) => ("slcan", names),
-            Self::Fdcanusb(names) => ("fdcanusb", names),
-            Self::Udp(names) => ("udp", names),
-        };
-        write!(f, "{kind}:{}", names.join(","))
+        match self.is_simulated() {
+            true => f.write_str(self.kind),
+            false => write!(f, "{}:{}", self.kind, self.names.join(",")),
+        }
     }
 }
 
 impl BusChoice {
+    /// The drives are simulated.
+    pub fn is_simulated(&self) -> bool {
+        self.kind == "sim"
+    }
+
     /// Opens the adapters of `buses` buses; none for the simulated ones.
     ///
     /// Errors: another number of names, the first that cannot be opened.
     pub fn open(&self, buses: usize) -> Result<Vec<Box<dyn Line>>, BusError> {
-        let refused = |error| BusError::Open {
-            name: self.to_string(),
-            error,
-        };
-        let names = match self {
-            Self::Sim => return Ok(Vec::new()),
-            Self::SocketCan(names)
-            | Self::Slcan(names)
-            | Self::Fdcanusb(names)
-            | Self::Udp(names) => names,
-        };
-        if names.len() != buses {
-            let count = names.len();
+        let refused = |error| BusError::Open(self.to_string(), error);
+        let count = self.names.len();
+        if count != buses && !self.is_simulated() {
             let text = format!("{count} named, the profile has {buses} buses");
             return Err(refused(std::io::Error::other(text)));
         }
         let open = |name: &String| -> std::io::Result<Box<dyn Line>> {
-            Ok(match self {
-                Self::Udp(_) => Box::new(UdpMulticast::open(name)?),
-                Self::Slcan(_) => Box::new(TextLine::open(name, TextForm::Slcan)?),
-                Self::Fdcanusb(_) => Box::new(TextLine::open(name, TextForm::Fdcanusb)?),
-                Self::Sim | Self::SocketCan(_) => Box::new(SocketCan::open(name)?),
+            Ok(match self.kind {
+                "udp" => Box::new(UdpMulticast::open(name)?),
+                "slcan" => Box::new(TextLine::open(name, TextForm::Slcan)?),
+                "fdcanusb" => Box::new(TextLine::open(name, TextForm::Fdcanusb)?),
+                _ => Box::new(SocketCan::open(name)?),
             })
         };
-        names
-            .iter()
-            .map(|name| open(name).map_err(refused))
-            .collect()
+        let names = self.names.iter();
+        names.map(|name| open(name).map_err(refused)).collect()
     }
 }
 

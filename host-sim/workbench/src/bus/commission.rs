@@ -66,8 +66,6 @@ impl Step {
         Self::Friction,
         Self::Weight,
     ];
-    /// Number of the first steps, in which no torque exceeds a tenth of its limit.
-    pub const BELOW_A_TENTH: usize = 4;
 }
 
 /// Findings of one joint.
@@ -100,8 +98,12 @@ pub struct Commissioning<A: Arm<N, P>, W: Network, const N: usize, const P: usiz
     rest: Joints<N>,
 }
 
-fn mistake(joint: usize, mistake: String) -> BusError {
-    BusError::Mistake { joint, mistake }
+/// Errors: the mistake of a joint that is not as it should be.
+fn check(joint: usize, sound: bool, wrong: impl FnOnce() -> String) -> Result<(), BusError> {
+    match sound {
+        true => Ok(()),
+        false => Err(BusError::Mistake(joint, wrong())),
+    }
 }
 
 impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, W, N, P> {
@@ -153,41 +155,34 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let gravity = self.model.gravity_torques(&self.rest);
         for joint in 0..N {
             let most = RESTING * f64::from(A::limits()[joint].torque);
-            if gravity[joint].abs() > most {
-                let (rest, gravity) = (self.rest[joint], gravity[joint]);
-                return Err(mistake(
-                    joint,
-                    format!(
-                        "rest_rad {rest}: gravity is {gravity:.2} N·m there, more than {most:.2} N·m"
-                    ),
-                ));
-            }
+            let (rest, gravity) = (self.rest[joint], gravity[joint]);
+            check(joint, gravity.abs() <= most, || {
+                format!(
+                    "rest_rad {rest}: gravity is {gravity:.2} N·m there, more than {most:.2} N·m"
+                )
+            })?;
         }
         self.listen()?;
         for joint in 0..N {
             let counters = self.player.controller.drives().counters(joint);
             let config = self.player.controller.config().joints[joint];
+            let (id, bus) = (config.drive.id, config.bus);
             if counters.replies == 0 {
-                let (id, bus) = (config.drive.id, config.bus);
                 let answering = self.scan(joint)?;
-                let list: Vec<String> = answering
+                let list = answering
                     .iter()
-                    .map(|(bus, id)| format!("{id} on bus {bus}"))
-                    .collect();
-                let list = if list.is_empty() {
-                    "none".to_owned()
-                } else {
-                    list.join(", ")
+                    .map(|(bus, id)| format!("{id} on bus {bus}"));
+                let list = match answering.is_empty() {
+                    true => "none".to_owned(),
+                    false => list.collect::<Vec<_>>().join(", "),
                 };
-                return Err(mistake(
-                    joint,
-                    format!("no drive answers at id {id} on bus {bus}; ids that answer: {list}"),
-                ));
+                let problem =
+                    format!("no drive answers at id {id} on bus {bus}; ids that answer: {list}");
+                return Err(BusError::Mistake(joint, problem));
             }
-            if counters.doubled > counters.replies / 4 {
-                let id = config.drive.id;
-                return Err(mistake(joint, format!("two drives answer at id {id}")));
-            }
+            check(joint, counters.doubled <= counters.replies / 4, || {
+                format!("two drives answer at id {id}")
+            })?;
         }
         self.player
             .controller
@@ -200,21 +195,14 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     fn scan(&mut self, joint: usize) -> Result<Vec<(u8, u16)>, BusError> {
         let config = self.player.controller.config().joints;
         let mut found = Vec::new();
-        for bus in 0..=config
-            .iter()
-            .map(|joint| joint.bus)
-            .max()
-            .unwrap_or_default()
-        {
+        let last = config.iter().map(|joint| joint.bus).max();
+        for bus in 0..=last.unwrap_or_default() {
             for id in IDS {
                 let mut drive = config[joint].drive;
                 drive.id = id;
                 // Replies go to the host's identifier, which may be configured with the drive's own.
-                let hosts = config
-                    .iter()
-                    .map(|joint| joint.drive.host_id)
-                    .chain([0, id | 0x10]);
-                let hosts: Vec<u16> = hosts.collect();
+                let hosts = config.iter().map(|joint| joint.drive.host_id);
+                let hosts: Vec<u16> = hosts.chain([0, id | 0x10]).collect();
                 let mut frames = Frames::new();
                 drive.order(Order::Disable, &mut frames);
                 for frame in &frames {
@@ -251,41 +239,27 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let moved = (0..N).max_by(|a, b| change[*a].abs().total_cmp(&change[*b].abs()));
         let moved = moved.unwrap_or(joint);
         let drive = self.player.controller.config().joints[joint].drive;
-        if change[moved].abs() < 0.02 {
-            return Err(mistake(
-                joint,
-                format!("its position stays when it is turned by {TURN_RAD} rad"),
-            ));
-        }
-        if moved != joint {
-            let (id, other) = (drive.id, moved + 1);
-            return Err(mistake(
-                joint,
-                format!(
-                    "id {id} is not its drive: turning it moves the position of joint {other}; are ids swapped?"
-                ),
-            ));
-        }
-        if ratio < 0.0 && (-ratio - 1.0).abs() < TURN_ERROR {
-            let sign = drive.sign;
-            return Err(mistake(
-                joint,
-                format!(
-                    "sign {sign}: a positive turn is reported as negative, sign must be {}",
-                    -sign
-                ),
-            ));
-        }
-        if (ratio - 1.0).abs() > TURN_ERROR {
+        check(joint, change[moved].abs() >= 0.02, || {
+            format!("its position stays when it is turned by {TURN_RAD} rad")
+        })?;
+        let (id, other) = (drive.id, moved + 1);
+        check(joint, moved == joint, || {
+            format!(
+                "id {id} is not its drive: turning it moves the position of joint {other}; are ids swapped?"
+            )
+        })?;
+        let reversed = ratio < 0.0 && (-ratio - 1.0).abs() < TURN_ERROR;
+        check(joint, !reversed, || {
+            let (sign, other) = (drive.sign, -drive.sign);
+            format!("sign {sign}: a positive turn is reported as negative, sign must be {other}")
+        })?;
+        check(joint, (ratio - 1.0).abs() <= TURN_ERROR, || {
             let (gear, is) = (f64::from(drive.gear), f64::from(drive.gear) * ratio.abs());
-            return Err(mistake(
-                joint,
-                format!(
-                    "gear {gear}: a turn of {TURN_RAD} rad is reported as {:.3} rad, gear is about {is:.3}",
-                    change[joint]
-                ),
-            ));
-        }
+            format!(
+                "gear {gear}: a turn of {TURN_RAD} rad is reported as {:.3} rad, gear is about {is:.3}",
+                change[joint]
+            )
+        })?;
         self.found[joint].turn_ratio = Some(ratio);
         Ok(())
     }
@@ -295,19 +269,15 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         self.player.network.ask(&Ask::Pose(pose))?;
         let here = self.listen()?;
         for joint in 0..N {
-            let error = here[joint] - self.rest[joint];
-            if error.abs() > ZERO_RAD {
+            let (here, rest) = (here[joint], self.rest[joint]);
+            let error = here - rest;
+            check(joint, error.abs() <= ZERO_RAD, || {
                 let zero = f64::from(self.player.controller.config().joints[joint].drive.zero);
-                return Err(mistake(
-                    joint,
-                    format!(
-                        "zero {zero}: {:.3} rad are reported in the pose of rest of {:.3} rad, zero is about {:.3}",
-                        here[joint],
-                        self.rest[joint],
-                        zero - error
-                    ),
-                ));
-            }
+                let is = zero - error;
+                format!(
+                    "zero {zero}: {here:.3} rad are reported in the pose of rest of {rest:.3} rad, zero is about {is:.3}"
+                )
+            })?;
             self.found[joint].zero_error_rad = Some(error);
         }
         Ok(())

@@ -15,7 +15,7 @@ pub use player::{BusPlayer, Jitter};
 pub use profile::{BitRates, JointEntry, Profile, frame_time_s};
 
 use foretorque_link::bus::BusFault;
-use foretorque_link::drives::{Contradiction, Frame};
+use foretorque_link::drives::Frame;
 use foretorque_link::safety::SafetyReason;
 use std::io;
 use std::time::{Duration, Instant};
@@ -52,66 +52,51 @@ pub trait Network {
     ///
     /// Errors: nobody is there.
     fn ask(&mut self, _: &Ask) -> Result<(), BusError> {
-        let (name, error) = (self.name(), io::ErrorKind::Unsupported.into());
-        Err(BusError::Gone { name, error })
+        let unsupported = io::ErrorKind::Unsupported.into();
+        Err(BusError::Gone(self.name(), unsupported))
     }
 }
 
 /// Reason for which an arm on a bus cannot be driven.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// The profile cannot be read.
-    #[error("{file}: {problem}")]
-    Profile {
-        /// File.
-        file: String,
-        /// Reason, with the field.
-        problem: String,
-    },
-    /// The profile contradicts itself or the arm.
-    #[error("{file}: {error}")]
-    Contradiction {
-        /// File.
-        file: String,
-        /// The two values.
-        error: Contradiction,
-    },
-    /// The bus cannot be opened.
-    #[error("bus {name}: {error}")]
-    Open {
-        /// Name of the bus.
-        name: String,
-        /// Reason.
-        error: io::Error,
-    },
-    /// The bus has gone.
-    #[error("bus {name} has gone, torque off: {error}")]
-    Gone {
-        /// Name of the bus.
-        name: String,
-        /// Reason.
-        error: io::Error,
-    },
+    /// The profile in this file cannot be read, or contradicts itself or the arm: reason, with the field.
+    #[error("{0}: {1}")]
+    Profile(String, String),
+    /// The bus of this name cannot be opened.
+    #[error("bus {0}: {1}")]
+    Open(String, io::Error),
+    /// The bus of this name has gone.
+    #[error("bus {0} has gone, torque off: {1}")]
+    Gone(String, io::Error),
     /// Nothing answers.
     #[error("bus {0} is silent, torque off: no drive of the profile answers")]
     Quiet(String),
     /// The user has ended it.
     #[error("interrupted after {0} periods, torque off")]
     Interrupted(u32),
-    /// Commissioning has found a mistake.
-    #[error("joint {}: {mistake}", joint + 1)]
-    Mistake {
-        /// Joint, from 0.
-        joint: usize,
-        /// The mistake, with the value of the profile and the one found.
-        mistake: String,
-    },
+    /// Commissioning has found a mistake: joint, from 0, and the mistake, with the value of the profile and the one found.
+    #[error("joint {}: {}", .0 + 1, .1)]
+    Mistake(usize, String),
     /// A drive or the bus has a fault.
     #[error("torque off: {0}")]
     Fault(BusFault),
     /// The torque has ended for another reason.
     #[error("torque off: {0}")]
     Stopped(SafetyReason),
+}
+
+/// A frame that has come; `None` for an identifier or a length that no frame has.
+fn frame_of(id: u32, extended: bool, data: &[u8]) -> Option<Frame> {
+    let most = match extended {
+        true => Frame::EXTENDED_MAX,
+        false => Frame::STANDARD_MAX,
+    };
+    let fits = id <= most && data.len() <= Frame::CAPACITY;
+    fits.then(|| match extended {
+        true => Frame::extended(id, data),
+        false => Frame::standard(id, data),
+    })
 }
 
 /// Priority of the loop among those of real time.
@@ -166,18 +151,14 @@ impl Network for WiredNetwork {
         let Some(line) = self.lines.get_mut(usize::from(bus)) else {
             return Ok(());
         };
-        line.send(frame).map_err(|error| BusError::Gone {
-            name: line.name(),
-            error,
-        })
+        let sent = line.send(frame);
+        sent.map_err(|error| BusError::Gone(line.name(), error))
     }
 
     fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
         for (bus, line) in self.lines.iter_mut().enumerate() {
-            let frame = line.receive().map_err(|error| BusError::Gone {
-                name: line.name(),
-                error,
-            })?;
+            let frame = line.receive();
+            let frame = frame.map_err(|error| BusError::Gone(line.name(), error))?;
             if let Some(frame) = frame {
                 return Ok(Some((bus as u8, frame)));
             }

@@ -51,17 +51,17 @@ fn one_bus() -> Vec<BitRates> {
     vec![BitRates::default()]
 }
 
+fn refused(file: &str, problem: String) -> BusError {
+    BusError::Profile(file.to_owned(), problem)
+}
+
 impl Profile {
     /// Reads a profile.
     ///
     /// Errors: the file's, with the place; values that contradict each other.
     pub fn load(path: &Path) -> Result<Self, BusError> {
         let file = path.display().to_string();
-        let refused = |problem: String| BusError::Profile {
-            file: file.clone(),
-            problem,
-        };
-        let text = fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
+        let text = fs::read_to_string(path).map_err(|error| refused(&file, error.to_string()))?;
         let mut profile = Self::parse(&file, &text)?;
         let beside = path.with_file_name(&profile.robot);
         if beside.is_file() {
@@ -74,10 +74,7 @@ impl Profile {
     ///
     /// Errors: as [`load`](Self::load).
     pub fn parse(file: &str, text: &str) -> Result<Self, BusError> {
-        let refused = |problem: String| BusError::Profile {
-            file: file.to_owned(),
-            problem,
-        };
+        let refused = |problem| refused(file, problem);
         let mut profile: Self = toml::from_str(text).map_err(|error| {
             let line = error
                 .span()
@@ -86,32 +83,30 @@ impl Profile {
             refused(format!("line {line}: {}", message.join(" ")))
         })?;
         file.clone_into(&mut profile.file);
-        if !RATES_HZ.contains(&profile.rate_hz) {
-            let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
-            let rate = profile.rate_hz;
-            return Err(refused(format!(
-                "rate_hz {rate} is not within {least} and {most}"
-            )));
+        let check = |sound: bool, problem: String| match sound {
+            true => Ok(()),
+            false => Err(refused(problem)),
+        };
+        let (rate, buses) = (profile.rate_hz, profile.bus.len());
+        let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
+        let within = format!("rate_hz {rate} is not within {least} and {most}");
+        check(RATES_HZ.contains(&rate), within)?;
+        check(
+            (1..=2).contains(&buses),
+            format!("{buses} buses, not 1 or 2"),
+        )?;
+        for (place, BitRates { nominal, data }) in profile.bus.iter().enumerate() {
+            let sound = [nominal, data]
+                .into_iter()
+                .all(|rate| (1e4..=1e7).contains(rate));
+            let within = "are not within 1e4 and 1e7";
+            let problem = format!("bus {place}: bit_s {nominal} and data_bit_s {data} {within}");
+            check(sound, problem)?;
         }
-        if profile.bus.is_empty() || profile.bus.len() > 2 {
-            return Err(refused(format!("{} buses, not 1 or 2", profile.bus.len())));
-        }
-        for (place, rates) in profile.bus.iter().enumerate() {
-            let sound = |rate: f64| (1e4..=1e7).contains(&rate);
-            if !sound(rates.nominal) || !sound(rates.data) {
-                let (nominal, data) = (rates.nominal, rates.data);
-                return Err(refused(format!(
-                    "bus {place}: bit_s {nominal} and data_bit_s {data} are not within 1e4 and 1e7"
-                )));
-            }
-        }
-        for (place, joint) in profile.joint.iter().enumerate() {
-            if usize::from(joint.bus) >= profile.bus.len() {
-                let (joint, bus, buses) = (place + 1, joint.bus, profile.bus.len());
-                return Err(refused(format!(
-                    "joint {joint}: bus {bus} contradicts the {buses} buses of the profile"
-                )));
-            }
+        for (joint, JointEntry { bus, .. }) in (1..).zip(&profile.joint) {
+            let problem =
+                format!("joint {joint}: bus {bus} contradicts the {buses} buses of the profile");
+            check(usize::from(*bus) < buses, problem)?;
         }
         Ok(profile)
     }
@@ -133,10 +128,7 @@ impl Profile {
             })
             .collect();
         let count = joints.len();
-        let refused = |problem: String| BusError::Profile {
-            file: self.file.clone(),
-            problem,
-        };
+        let refused = |problem| refused(&self.file, problem);
         let joints = joints.try_into().map_err(|_| {
             refused(format!(
                 "{count} joints contradict the {N} joints of robot '{}'",
@@ -156,10 +148,7 @@ impl Profile {
         };
         config
             .check::<A, P>()
-            .map_err(|error| BusError::Contradiction {
-                file: self.file.clone(),
-                error,
-            })?;
+            .map_err(|error| refused(error.to_string()))?;
         for bus in 0..self.bus.len() {
             let busy_s = self.busy_s(bus);
             if busy_s * self.rate_hz > 1.0 {

@@ -5,7 +5,7 @@
 //! | slcan | `t1232AABB`, `T`, `r`, `R`; CAN-FD: `d`, `D`, with bit rate switch `b`, `B` | Lawicel CAN232 manual; CANable 2 |
 //! | fdcanusb | `can send 8001 AABB BF`, `rcv 100 AABB E B F` | mjbots fdcanusb, docs/reference.md |
 
-use super::Line;
+use super::{Line, frame_of};
 use foretorque_link::drives::Frame;
 use serialport::SerialPort;
 use std::fmt::Write as _;
@@ -125,7 +125,9 @@ fn slcan(line: &str) -> Option<Frame> {
     if length > 8 && !fd {
         return None;
     }
-    frame(id, extended, fd, &bytes(rest.get(..2 * length)?)?)
+    let mut frame = frame_of(id, extended, &bytes(rest.get(..2 * length)?)?)?;
+    frame.fd = fd;
+    Some(frame)
 }
 
 fn fdcanusb(line: &str) -> Option<Frame> {
@@ -137,25 +139,9 @@ fn fdcanusb(line: &str) -> Option<Frame> {
     let data = bytes(words.next().filter(|word| word.len() > 1).unwrap_or(""))?;
     let flags: Vec<&str> = words.collect();
     let is = |flag: &str| flags.contains(&flag);
-    frame(id, is("E") || id > Frame::STANDARD_MAX, is("F"), &data)
-}
-
-fn frame(id: u32, extended: bool, fd: bool, data: &[u8]) -> Option<Frame> {
-    let most = if extended {
-        Frame::EXTENDED_MAX
-    } else {
-        Frame::STANDARD_MAX
-    };
-    if id > most || data.len() > Frame::CAPACITY {
-        return None;
-    }
-    let mut made = if extended {
-        Frame::extended(id, data)
-    } else {
-        Frame::standard(id, data)
-    };
-    made.fd = fd;
-    Some(made)
+    let mut frame = frame_of(id, is("E") || id > Frame::STANDARD_MAX, &data)?;
+    frame.fd = is("F");
+    Some(frame)
 }
 
 fn bytes(hex: &str) -> Option<Vec<u8>> {

@@ -1,6 +1,6 @@
 //! CAN frames over multicast, as python-can's interface `udp_multicast` sends them: one MessagePack map a datagram.
 
-use super::Line;
+use super::{Line, frame_of};
 use foretorque_link::drives::Frame;
 use rmpv::Value;
 use socket2::{Domain, Protocol, Socket, Type};
@@ -91,20 +91,10 @@ fn unpacked(mut bytes: &[u8]) -> Option<Frame> {
     let flag = |name: &str| field(name).and_then(Value::as_bool).unwrap_or(false);
     let id = u32::try_from(field("arbitration_id")?.as_u64()?).ok()?;
     let data = field("data").and_then(Value::as_slice).unwrap_or_default();
-    let extended = flag("is_extended_id");
-    let most = if extended {
-        Frame::EXTENDED_MAX
-    } else {
-        Frame::STANDARD_MAX
-    };
-    if id > most || data.len() > Frame::CAPACITY || flag("is_error_frame") {
+    if flag("is_error_frame") {
         return None;
     }
-    let mut frame = if extended {
-        Frame::extended(id, data)
-    } else {
-        Frame::standard(id, data)
-    };
+    let mut frame = frame_of(id, flag("is_extended_id"), data)?;
     frame.remote = flag("is_remote_frame");
     frame.fd = flag("is_fd");
     Some(frame)

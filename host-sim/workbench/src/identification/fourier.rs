@@ -11,7 +11,7 @@ use super::prepare::{Preparation, PrepareConfig, Prepared, states};
 use super::{IdentifyError, refused};
 use crate::Refusal;
 use crate::robot::Robot;
-use crate::table::TableProblem;
+use crate::table::TableError;
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -51,7 +51,7 @@ pub(super) fn folded(
             break;
         }
     }
-    let fold = fold.ok_or_else(|| TableProblem::Empty.at(path, None))?;
+    let fold = fold.ok_or_else(|| TableError::empty(path))?;
     if fold.count.contains(&0.0) {
         let problem = format!("the log does not show a whole period of {period_s} s");
         return Err(refused(path, problem));
@@ -94,7 +94,7 @@ impl Fold {
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let row_s = median(&mut steps);
         if first.len() < 3 {
-            return Err(TableProblem::Empty.at(path, None).into());
+            return Err(TableError::empty(path).into());
         }
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {

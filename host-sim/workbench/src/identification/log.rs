@@ -3,7 +3,7 @@
 use super::log_search::{has, is_there, joint_places, no_columns};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
-use crate::table::{Rows, TableError, TableProblem};
+use crate::table::{Rows, TableError};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -113,7 +113,7 @@ impl LogReader {
             };
             (map, true)
         };
-        let missing = |column: &str| TableProblem::MissingColumn(column.to_owned()).at(path, 1);
+        let missing = |column: &str| TableError::missing(path, column);
         let own_units = map.all_units.clone().unwrap_or_default().scale;
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
         let map_units = map_units.cloned().unwrap_or_default().scale;
@@ -148,7 +148,7 @@ impl LogReader {
                 EffortKind::Motor => *map.gear_ratios.get(joint).ok_or_else(|| {
                     let problem =
                         "torques of motors need gear_ratios, one a joint, in --columns-from FILE";
-                    TableProblem::Unreadable(problem.to_owned()).at(path, None)
+                    TableError::at(path, None, problem)
                 })?,
             };
         }
@@ -220,9 +220,10 @@ impl LogReader {
                 let place = columns.places[joint];
                 *value = self.rows.number(place)? * columns.scale[joint];
                 if value.abs() > LARGEST {
-                    let name = self.rows.header()[place].clone();
-                    let problem = TableProblem::Implausible(name, *value);
-                    return Err(problem.at(self.rows.path(), self.rows.line()));
+                    let name = &self.rows.header()[place];
+                    return Err(self.rows.row_error(format!(
+                        "column {name}: {value:e} is no measurement of a joint"
+                    )));
                 }
             }
             Ok::<_, TableError>(values)
@@ -236,12 +237,18 @@ impl LogReader {
             tau: numbers(&Some(self.tau))?,
         };
         if let Err((joint, jump)) = self.unwrap.take(&mut row.q) {
-            let name = self.rows.header()[self.q.places[joint]].clone();
-            let problem = match self.is_swapped() {
-                true => TableProblem::Swapped,
-                false => TableProblem::Wrap(name, jump),
+            let swapped = self.is_swapped();
+            let name = &self.rows.header()[self.q.places[joint]];
+            let problem = match swapped {
+                true => "positions and torques are swapped: what stands for a torque is smoother than what stands for a position"
+                    .to_owned(),
+                // A jump that a joint with ends in its range cannot make, rad.
+                false => format!(
+                    "column {name}: a jump of {jump:.3} rad, a wrap that this joint with ends in its range cannot make: a torque \
+                     in the place of the position, or other units (--units)?"
+                ),
             };
-            return Err(problem.at(self.rows.path(), row.line));
+            return Err(TableError::at(self.rows.path(), row.line, problem));
         }
         if let Some((coupling, torques)) = &self.coupling {
             for motion in [&mut row.q, &mut row.qd, &mut row.qdd] {

@@ -2,7 +2,7 @@
 
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
-use crate::table::{Rows, TableError, TableProblem};
+use crate::table::{Rows, TableError};
 
 /// The log has a column of that name, or several.
 pub(super) fn has(rows: &Rows, name: &str) -> bool {
@@ -98,8 +98,12 @@ fn renamed(
     for (column, core) in columns.iter_mut().zip(&cores_ours) {
         let place = cores_there.iter().position(|other| other == core);
         let Some(place) = place.filter(|_| there.len() == ours.len()) else {
-            let problem = TableProblem::OtherJoints(there.join(", "), ours.join(", "));
-            return Err(problem.at(rows.path(), 1));
+            let problem = format!(
+                "the log has joints {}, the robot {}: name the columns by --columns-from FILE",
+                there.join(", "),
+                ours.join(", ")
+            );
+            return Err(TableError::at(rows.path(), 1, problem));
         };
         *column = rows.require(&mapped.of(0, there[place]).unwrap_or_default())?;
     }
@@ -145,12 +149,12 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     let tau = guess(&["tau", "torque", "eff", "moment"], &asked);
     let all = header[..header.len().min(SHOWN)].join(", ");
     let more = if header.len() > SHOWN { ", …" } else { "" };
-    TableProblem::NoColumns(format!(
-        "  header: {all}{more}\n  write these lines into a file, mend them, and add --columns-from FILE (or {}):\n\
+    let problem = format!(
+        "no columns for time, positions and torques (t_s, q1_rad…, tau1_nm…) and none of a known source\n  header: {all}{more}\n  write these lines into a file, mend them, and add --columns-from FILE (or {}):\n\
          t_s = \"{time}\"\nq_rad = \"{q}\"\ntau_nm = \"{tau}\"",
         LOG_SOURCES.join(", ")
-    ))
-    .at(rows.path(), 1)
+    );
+    TableError::at(rows.path(), 1, problem)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use super::filter::median;
 use super::log::{LogReader, LogRow};
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
-use crate::table::{TableError, TableProblem};
+use crate::table::TableError;
 use std::collections::VecDeque;
 use std::path::Path;
 
@@ -66,11 +66,13 @@ impl WholeLog {
             first.push(row);
         }
         if first.len() < 3 {
-            let problem = match first.len() {
-                0 => TableProblem::Empty,
-                rows => TableProblem::Short(rows),
-            };
-            return Err(problem.at(path, None));
+            return Err(match first.len() {
+                0 => TableError::empty(path),
+                rows => {
+                    let problem = format!("{rows} rows, a motion needs 3 at least");
+                    TableError::at(path, None, problem)
+                }
+            });
         }
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let period_s = median(&mut steps);

@@ -7,7 +7,6 @@ pub mod plot;
 
 use crate::files::{WholeFile, write_whole};
 use page::Page;
-use plot::PlotError;
 use plotters::style::RGBColor;
 use serde::Serialize;
 use std::io;
@@ -18,18 +17,6 @@ use std::path::{Path, PathBuf};
 pub struct ReportFiles {
     json: WholeFile,
     page: PathBuf,
-}
-
-/// Failure to write a report.
-#[derive(Debug, thiserror::Error)]
-#[error(transparent)]
-pub enum ReportError {
-    /// The file system's.
-    File(#[from] io::Error),
-    /// Figures that JSON cannot hold.
-    Json(#[from] serde_json::Error),
-    /// The plot library's.
-    Plot(#[from] PlotError),
 }
 
 impl ReportFiles {
@@ -45,8 +32,8 @@ impl ReportFiles {
 
     /// Writes both files; returns the path of the page.
     ///
-    /// Errors: [`ReportError`].
-    pub fn finish(mut self, report: &impl Serialize, page: &Page) -> Result<PathBuf, ReportError> {
+    /// Errors: the file system's, figures that JSON cannot hold, the plot library's.
+    pub fn finish(mut self, report: &impl Serialize, page: &Page) -> io::Result<PathBuf> {
         serde_json::to_writer_pretty(&mut self.json, report)?;
         self.json.write_all(b"\n")?;
         write_whole(&self.page, page.html()?.as_bytes())?;

@@ -218,23 +218,8 @@ fn class_of(row: &[String]) -> &'static str {
     }
 }
 
-const STYLE: &str = "\
-*{box-sizing:border-box}body{margin:0;background:var(--page);color:var(--text);font:16px/1.5 system-ui,-apple-system,\"Segoe UI\",Roboto,sans-serif}
-main{max-width:1160px;margin:0 auto;padding:32px 20px 64px}h1{font-size:1.9rem;margin:0 0 4px;letter-spacing:-.01em}
-h2{font-size:1.2rem;margin:0 0 4px}p{margin:0 0 10px;max-width:80ch;color:var(--quiet)}.lead{font-size:1.05rem;margin-bottom:20px}
-.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(190px,1fr));gap:12px;margin-bottom:20px}
-.card,section{background:var(--card);border:1px solid var(--line);border-radius:10px}.card{padding:14px 16px}
-.card b{display:block;font-size:1.2rem;font-variant-numeric:tabular-nums}.card span{color:var(--quiet);font-size:.86rem}
-section{padding:20px 20px 14px;margin-bottom:18px}.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:.88rem;margin-bottom:4px}
-.legend i{display:inline-block;width:18px;height:4px;border-radius:2px;margin-right:6px;vertical-align:middle}
-.panels{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,var(--least)),1fr));gap:4px 10px;margin-bottom:10px}svg{display:block;width:100%;height:auto}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
-@media (max-width:520px){main{padding:20px 10px 40px}section{padding:14px 12px 10px}th,td{padding-right:8px;font-size:.82rem}}
-pre{margin:0 0 12px;padding:10px 12px;border:1px solid var(--line);border-radius:6px;white-space:pre-wrap;overflow-wrap:anywhere;font-size:.88rem}
-th,td{text-align:right;padding:4px 14px 4px 0;border-bottom:1px solid var(--line)}th{font-weight:600}th:first-child,td:first-child{text-align:left}
-tr.bad td{background:color-mix(in srgb,var(--before) 18%,transparent)}tr.bad td:first-child{box-shadow:inset 3px 0 var(--before);padding-left:8px}
-tr.warn td:first-child{box-shadow:inset 3px 0 var(--axis);padding-left:8px}
-svg[data-area]{touch-action:pan-y;cursor:crosshair;user-select:none}@media print{svg[data-area]{cursor:auto}}
-";
+/// Layout and type; the colours are variables.
+const STYLE: &str = include_str!("style.css");
 
 #[cfg(test)]
 mod tests {

@@ -6,6 +6,7 @@ use super::escape;
 use super::{light, rgb};
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use serde_json::json;
 
 /// Failure of the plot library.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -15,6 +16,12 @@ pub struct PlotError(String);
 impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PlotError {
     fn from(error: DrawingAreaErrorKind<E>) -> Self {
         Self(error.to_string())
+    }
+}
+
+impl From<PlotError> for std::io::Error {
+    fn from(error: PlotError) -> Self {
+        Self::other(error)
     }
 }
 
@@ -223,27 +230,16 @@ fn line_width(curve: &Curve) -> u32 {
 
 /// Curves of a panel for hover and zoom, as JSON: colour, width, x and y.
 fn data(panel: &Panel) -> String {
-    let list = |values: &mut dyn Iterator<Item = f64>| {
-        let digits = |value: f64| match value.is_finite() {
-            // Five digits are finer than a screen.
-            true => format!("{:.5e}", value)
-                .parse::<f64>()
-                .map_or(String::new(), |value| value.to_string()),
-            false => "null".to_owned(),
-        };
-        values.map(digits).collect::<Vec<_>>().join(",")
-    };
+    // Five digits are finer than a screen; JSON has null for what is not finite.
+    let rounded = |value: f64| format!("{value:.5e}").parse::<f64>().unwrap_or(f64::NAN);
     let curves = panel.curves.iter().map(|curve| {
-        let points = thinned(&curve.points, FINE_BUCKETS);
-        format!(
-            "{{\"c\":\"{}\",\"w\":{},\"x\":[{}],\"y\":[{}]}}",
-            curve.color.variable(),
-            line_width(curve),
-            list(&mut points.iter().map(|point| point.0)),
-            list(&mut points.iter().map(|point| point.1))
-        )
+        let (x, y): (Vec<f64>, Vec<f64>) = thinned(&curve.points, FINE_BUCKETS)
+            .into_iter()
+            .map(|(x, y)| (rounded(x), rounded(y)))
+            .unzip();
+        json!({"c": curve.color.variable(), "w": line_width(curve), "x": x, "y": y})
     });
-    format!("[{}]", curves.collect::<Vec<_>>().join(","))
+    serde_json::Value::from_iter(curves).to_string()
 }
 
 /// As many decimals as the span of the axis asks for.

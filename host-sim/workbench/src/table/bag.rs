@@ -3,7 +3,7 @@
 //! Columns: `t_s` since the first message, then `NAME/position`, `NAME/velocity` and `NAME/effort` of every joint. An MCAP
 //! that this program wrote gives the columns of its topic `/measured`.
 
-use super::{TableError, TableProblem};
+use super::TableError;
 use crate::files::at;
 use mcap::read::Options;
 use rusqlite::{Connection, OpenFlags};
@@ -72,7 +72,7 @@ impl Iterator for Messages {
 
 impl Messages {
     fn row(&self, state: &JointState) -> Result<Vec<f64>, TableError> {
-        let broken = |problem: String| TableProblem::Unreadable(problem).at(&self.path, self.count);
+        let broken = |problem: String| TableError::at(&self.path, self.count, problem);
         let mut row = vec![1e-9 * (state.stamp_ns - self.start_ns) as f64];
         for name in &self.names {
             let place = state.names.iter().position(|own| own == name);
@@ -132,7 +132,7 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
         seen.push(state?);
     }
     let Some(most) = seen.iter().max_by_key(|state| state.names.len()) else {
-        return Err(TableProblem::Empty.at(path, None));
+        return Err(TableError::empty(path));
     };
     let names = most.names.clone();
     let kinds = [0, 1, 2].map(|kind| most.values[kind].len() == names.len() && !names.is_empty());
@@ -170,7 +170,7 @@ fn extension(path: &Path) -> Option<&str> {
 }
 
 fn refused(path: &Path, problem: String) -> TableError {
-    TableProblem::Unreadable(problem).at(path, None)
+    TableError::at(path, None, problem)
 }
 
 /// The topic with joint states: `/joint_states` before others.
@@ -197,10 +197,9 @@ fn send(
     received_ns: i64,
     count: u64,
 ) -> Result<bool, TableError> {
-    let mut state = decode(data).or_else(|| columns(data)).ok_or_else(|| {
-        let problem = format!("no {JOINT_STATE} in plain CDR");
-        TableProblem::Unreadable(problem).at(path, count)
-    })?;
+    let mut state = decode(data)
+        .or_else(|| columns(data))
+        .ok_or_else(|| TableError::at(path, count, format!("no {JOINT_STATE} in plain CDR")))?;
     if state.stamp_ns == 0 && (count > 1 || state.plain) {
         state.stamp_ns = received_ns;
     }

@@ -72,7 +72,7 @@ impl<const N: usize> StateReader<N> {
     pub fn read_all(mut self) -> Result<Vec<StateRow<N>>, TableError> {
         let rows = self.by_ref().collect::<Result<Vec<_>, _>>()?;
         if rows.is_empty() {
-            return Err(TableProblem::Empty.at(self.rows.path(), None));
+            return Err(TableError::empty(self.rows.path()));
         }
         Ok(rows)
     }
@@ -127,82 +127,25 @@ pub enum TableError {
     /// The file cannot be opened or read.
     #[error(transparent)]
     File(#[from] io::Error),
-    /// The table is damaged.
-    #[error("{path}{}: {problem}", line.map_or(String::new(), |line| format!(":{line}")))]
-    Table {
-        /// The file.
-        path: PathBuf,
-        /// Line, from 1, if the problem has one.
-        line: Option<u64>,
-        /// The problem.
-        problem: TableProblem,
-    },
+    /// The table is damaged: file, line, from 1, if the problem has one, and the problem, with the column.
+    #[error("{}{}: {}", .0.display(), .1.map_or(String::new(), |line| format!(":{line}")), .2)]
+    Table(PathBuf, Option<u64>, String),
 }
 
-/// A problem of a table.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum TableProblem {
-    /// The file is no CSV (wrong encoding, broken compression); message of the reader.
-    #[error("{0}")]
-    Unreadable(String),
-    /// The header lacks this column.
-    #[error("column {0} is missing")]
-    MissingColumn(String),
-    /// The header names this column twice.
-    #[error("column {0} appears twice")]
-    RepeatedColumn(String),
-    /// The header names a column of a joint that a robot of so many joints does not have.
-    #[error("column {0} is one too many: the robot has {1} joints")]
-    ExtraColumn(String, usize),
-    /// Number of fields of the row, and of the header.
-    #[error("{0} fields where the header has {1}")]
-    Ragged(usize, usize),
-    /// Column and text of a field that is no finite number.
-    #[error("column {0}: {1:?} is not a finite number")]
-    NotANumber(String, String),
-    /// Column and time that does not come after the time of the row before, both in the unit of the column.
-    #[error("column {0}: {1} does not come after {2}")]
-    Time(String, f64, f64),
+impl TableError {
+    /// The problem in a line of a file, or in the file as a whole.
+    pub fn at(path: &Path, line: impl Into<Option<u64>>, problem: impl Into<String>) -> Self {
+        Self::Table(path.to_owned(), line.into(), problem.into())
+    }
+
     /// There is a header at most.
-    #[error("no rows")]
-    Empty,
-    /// So many rows, too few for a motion.
-    #[error("{0} rows, a motion needs 3 at least")]
-    Short(usize),
-    /// The first row holds so many numbers instead of names.
-    #[error("no header row, {0} numbers: name the columns by --names t_s,q1_rad,…")]
-    NoHeader(usize),
-    /// The columns found, and lines of a map to be completed.
-    #[error(
-        "no columns for time, positions and torques (t_s, q1_rad…, tau1_nm…) and none of a known source\n{0}"
-    )]
-    NoColumns(String),
-    /// The joints of the log, and of the robot.
-    #[error("the log has joints {0}, the robot {1}: name the columns by --columns-from FILE")]
-    OtherJoints(String, String),
-    /// Column, value and size beyond which no joint is.
-    #[error("column {0}: {1:e} is no measurement of a joint")]
-    Implausible(String, f64),
-    /// Column and angle, rad, of a jump that a joint with ends in its range cannot make.
-    #[error(
-        "column {0}: a jump of {1:.3} rad, a wrap that this joint with ends in its range cannot make: a torque in the place of the position, or other units (--units)?"
-    )]
-    Wrap(String, f64),
-    /// Quantities in each other's columns.
-    #[error(
-        "positions and torques are swapped: what stands for a torque is smoother than what stands for a position"
-    )]
-    Swapped,
-}
+    pub fn empty(path: &Path) -> Self {
+        Self::at(path, None, "no rows")
+    }
 
-impl TableProblem {
-    /// The error in a line of a file, or in the file as a whole.
-    pub fn at(self, path: &Path, line: impl Into<Option<u64>>) -> TableError {
-        TableError::Table {
-            path: path.to_owned(),
-            line: line.into(),
-            problem: self,
-        }
+    /// The header lacks this column.
+    pub(crate) fn missing(path: &Path, column: &str) -> Self {
+        Self::at(path, 1, format!("column {column} is missing"))
     }
 }
 
@@ -233,69 +176,29 @@ mod tests {
     #[test]
     fn errors_name_file_line_and_column() {
         let directory = Directory::new("table-errors");
-        let sound = "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2";
-        let two = "t_s,q1_rad,q2_rad,qd1_rad_s,qd2_rad_s,qdd1_rad_s2,qdd2_rad_s2";
-        // Header, rows, and the message behind the name of the file.
-        for (header, rows, expected) in [
-            (
-                "t_s,q1_rad,qd1_rad_s",
-                "",
-                ":1: column qdd1_rad_s2 is missing",
-            ),
-            (
-                "q1_rad,qd1_rad_s,qdd1_rad_s2",
-                "0,0,0",
-                ":1: column t_s is missing",
-            ),
-            (
-                "t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2",
-                "",
-                ":1: column q1_rad appears twice",
-            ),
-            (
-                two,
-                "",
-                ":1: column q2_rad is one too many: the robot has 1 joints",
-            ),
-            (
-                sound,
-                "0,0,0,0\n1,2,3",
-                ":3: 3 fields where the header has 4",
-            ),
-            (
-                sound,
-                "0,0,0,0\n1,2,x,4",
-                ":3: column qd1_rad_s: \"x\" is not a finite number",
-            ),
-            (
-                sound,
-                "0,0,0,NaN",
-                ":2: column qdd1_rad_s2: \"NaN\" is not a finite number",
-            ),
-            (
-                sound,
-                "0,0,0,",
-                ":2: column qdd1_rad_s2: \"\" is not a finite number",
-            ),
-            (
-                sound,
-                "1,0,0,0\n2,0,0,0\n2,0,0,0",
-                ":4: column t_s: 2 does not come after 2",
-            ),
-            (sound, "", ": no rows"),
-            ("", "", ":1: column q1_rad is missing"),
-        ] {
+        // Lines of the table behind each other, and the message behind the name of the file.
+        let cases = "\
+t_s,q1_rad,qd1_rad_s | :1: column qdd1_rad_s2 is missing
+q1_rad,qd1_rad_s,qdd1_rad_s2 0,0,0 | :1: column t_s is missing
+t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2 | :1: column q1_rad appears twice
+t_s,q1_rad,q2_rad,qd1_rad_s,qdd1_rad_s2 | :1: column q2_rad is one too many: the robot has 1 joints
+SOUND 0,0,0,0 1,2,3 | :3: 3 fields where the header has 4
+SOUND 0,0,0,0 1,2,x,4 | :3: column qd1_rad_s: \"x\" is not a finite number
+SOUND 0,0,0,NaN | :2: column qdd1_rad_s2: \"NaN\" is not a finite number
+SOUND 0,0,0, | :2: column qdd1_rad_s2: \"\" is not a finite number
+SOUND 1,0,0,0 2,0,0,0 2,0,0,0 | :4: column t_s: 2 does not come after 2
+SOUND | : no rows
+ | :1: column q1_rad is missing";
+        for case in cases.lines() {
+            let (table, expected) = case.split_once(" | ").expect("a table and a message");
             let path = directory.0.join("states.csv");
-            let text = format!("{header}\n{rows}\n");
-            fs::write(&path, text.trim_start_matches('\n')).expect("writes");
-            let expected = format!("states.csv{expected}");
+            let sound = "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2";
+            let text = table.replace("SOUND", sound).replace(' ', "\n");
+            fs::write(&path, text + "\n").expect("writes");
             let error = StateReader::<1>::open(&path, TimeColumn::Required)
                 .and_then(StateReader::read_all)
-                .expect_err(&expected);
-            let folder = format!("{}/", directory.0.display());
-            let message = error.to_string().replace(&folder, "");
-            assert_eq!(message, expected);
-            assert_eq!(message.lines().count(), 1);
+                .expect_err(case);
+            assert_eq!(error.to_string(), format!("{}{expected}", path.display()));
         }
     }
 

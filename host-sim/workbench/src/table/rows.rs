@@ -1,7 +1,7 @@
 //! Checked rows of a table: as wide as the header, finite numbers, time ascending.
 
 use super::bag::Messages;
-use super::{TableError, TableProblem, is_compressed};
+use super::{TableError, is_compressed};
 use crate::files::at;
 use flate2::read::MultiGzDecoder;
 use std::fs::File;
@@ -105,7 +105,10 @@ impl Rows {
         let is_number = |field: &str| number(field.trim().as_bytes(), separator).is_some();
         let numbers = !first.trim().is_empty() && fields.clone().all(is_number);
         if numbers && names.is_empty() {
-            return Err(TableProblem::NoHeader(fields.count()).at(path, 1));
+            let count = fields.count();
+            let problem =
+                format!("no header row, {count} numbers: name the columns by --names t_s,q1_rad,…");
+            return Err(TableError::at(path, 1, problem));
         }
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
@@ -156,7 +159,7 @@ impl Rows {
         let names = self.header.iter().enumerate();
         let mut places = names.filter(|(_, name)| *name == column).map(|(k, _)| k);
         match (places.next(), places.next()) {
-            (_, Some(_)) => Err(self.header_error(TableProblem::RepeatedColumn, column)),
+            (_, Some(_)) => Err(self.header_error(format!("column {column} appears twice"))),
             (first, None) => Ok(first),
         }
     }
@@ -164,22 +167,26 @@ impl Rows {
     /// Place of a column that must be there.
     pub(crate) fn require(&self, column: &str) -> Result<usize, TableError> {
         self.find(column)?
-            .ok_or_else(|| self.header_error(TableProblem::MissingColumn, column))
+            .ok_or_else(|| TableError::missing(&self.path, column))
     }
 
     /// Refuses the column of a joint that a robot of `joints` joints does not have.
     pub(crate) fn refuse(&self, column: &str, joints: usize) -> Result<(), TableError> {
         match self.find(column)? {
-            Some(_) => {
-                let extra = |column| TableProblem::ExtraColumn(column, joints);
-                Err(self.header_error(extra, column))
-            }
+            Some(_) => Err(self.header_error(format!(
+                "column {column} is one too many: the robot has {joints} joints"
+            ))),
             None => Ok(()),
         }
     }
 
-    fn header_error(&self, problem: impl Fn(String) -> TableProblem, column: &str) -> TableError {
-        problem(column.to_owned()).at(&self.path, 1)
+    fn header_error(&self, problem: String) -> TableError {
+        TableError::at(&self.path, 1, problem)
+    }
+
+    /// The problem in this row.
+    pub(crate) fn row_error(&self, problem: String) -> TableError {
+        TableError::at(&self.path, self.line(), problem)
     }
 
     /// Reads the next row; false at the end.
@@ -215,8 +222,8 @@ impl Rows {
             }
         };
         if fields != self.header.len() {
-            let problem = TableProblem::Ragged(fields, self.header.len());
-            return Err(problem.at(&self.path, self.line()));
+            let width = self.header.len();
+            return Err(self.row_error(format!("{fields} fields where the header has {width}")));
         }
         Ok(true)
     }
@@ -249,7 +256,8 @@ impl Rows {
             }
         };
         value.ok_or_else(|| {
-            TableProblem::NotANumber(self.header[column].clone(), text).at(&self.path, self.line())
+            let column = &self.header[column];
+            self.row_error(format!("column {column}: {text:?} is not a finite number"))
         })
     }
 
@@ -258,8 +266,9 @@ impl Rows {
         let t_s = self.number(column)?;
         match self.previous_s.replace(t_s) {
             Some(previous_s) if t_s <= previous_s => {
-                let name = self.header[column].clone();
-                Err(TableProblem::Time(name, t_s, previous_s).at(&self.path, self.line()))
+                let name = &self.header[column];
+                let problem = format!("column {name}: {t_s} does not come after {previous_s}");
+                Err(self.row_error(problem))
             }
             _ => Ok(t_s),
         }
@@ -277,7 +286,7 @@ fn number(field: &[u8], separator: u8) -> Option<f64> {
 }
 
 fn unreadable(path: &Path, error: &csv::Error) -> TableError {
-    TableProblem::Unreadable(error.to_string()).at(path, None)
+    TableError::at(path, None, error.to_string())
 }
 
 #[cfg(test)]

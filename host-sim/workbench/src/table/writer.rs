@@ -9,16 +9,10 @@ use std::fmt;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Writes a table that is whole or absent: CSV, or MCAP where the name ends in `.mcap`.
+/// Writes a table that is whole or absent: CSV, MCAP where the name ends in `.mcap`, or both.
 pub struct TableWriter {
-    form: Form,
-    /// This table as MCAP.
-    beside: Option<Box<McapTable>>,
-}
-
-enum Form {
-    Csv(Box<csv::Writer<Sink>>),
-    Mcap(Box<McapTable>),
+    csv: Option<Box<csv::Writer<Sink>>>,
+    mcap: Option<Box<McapTable>>,
 }
 
 enum Sink {
@@ -47,12 +41,9 @@ impl TableWriter {
     ///
     /// Errors: the file system's.
     pub fn create(path: &Path, header: &[String]) -> io::Result<Self> {
-        if path
-            .extension()
-            .is_some_and(|extension| extension == "mcap")
-        {
-            let form = Form::Mcap(Box::new(McapTable::create(path, header)?));
-            return Ok(Self { form, beside: None });
+        if path.extension().is_some_and(|end| end == "mcap") {
+            let mcap = Some(Box::new(McapTable::create(path, header)?));
+            return Ok(Self { csv: None, mcap });
         }
         let file = WholeFile::create(path)?;
         let sink = if is_compressed(path) {
@@ -62,10 +53,8 @@ impl TableWriter {
         };
         let mut writer = csv::Writer::from_writer(sink);
         writer.write_record(header)?;
-        Ok(Self {
-            form: Form::Csv(Box::new(writer)),
-            beside: None,
-        })
+        let csv = Some(Box::new(writer));
+        Ok(Self { csv, mcap: None })
     }
 
     /// Starts a table as CSV, and as MCAP beside it.
@@ -74,7 +63,7 @@ impl TableWriter {
     pub fn with_mcap(path: &Path, header: &[String]) -> io::Result<Self> {
         let beside = McapTable::create(&path.with_extension("mcap"), header)?;
         Ok(Self {
-            beside: Some(Box::new(beside)),
+            mcap: Some(Box::new(beside)),
             ..Self::create(path, header)?
         })
     }
@@ -84,12 +73,12 @@ impl TableWriter {
     /// Errors: the file system's, or a row of another width than the header.
     pub fn row<T: fmt::Display>(&mut self, values: impl IntoIterator<Item = T>) -> io::Result<()> {
         let values: Vec<String> = values.into_iter().map(|value| value.to_string()).collect();
-        if let Some(beside) = &mut self.beside {
-            beside.row(&values)?;
+        if let Some(mcap) = &mut self.mcap {
+            mcap.row(&values)?;
         }
-        match &mut self.form {
-            Form::Csv(writer) => Ok(writer.write_record(&values)?),
-            Form::Mcap(table) => table.row(&values),
+        match &mut self.csv {
+            Some(csv) => Ok(csv.write_record(&values)?),
+            None => Ok(()),
         }
     }
 
@@ -97,14 +86,13 @@ impl TableWriter {
     ///
     /// Errors: the file system's.
     pub fn finish(self) -> io::Result<()> {
-        if let Some(beside) = self.beside {
-            beside.finish()?;
+        if let Some(mcap) = self.mcap {
+            mcap.finish()?;
         }
-        let writer = match self.form {
-            Form::Csv(writer) => writer,
-            Form::Mcap(table) => return table.finish(),
+        let Some(csv) = self.csv else {
+            return Ok(());
         };
-        let sink = writer
+        let sink = csv
             .into_inner()
             .map_err(|error| io::Error::other(error.to_string()))?;
         match sink {

@@ -101,66 +101,45 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
     let (end, undisturbed, _) = campaign(None, &[]);
     assert_eq!((end, undisturbed.wrong), (Ok(()), Vec::new()));
     let right = &undisturbed.released[1..];
-    // A fault of a joint from 0 to 2 or of its bus, how long it lasts, and the message of its end. Each is tried on both
-    // buses, whose joints are 1 to 3 and 4 to 6.
-    let cases: [(FaultOf, usize, f64, &str); 20] = [
-        (|j, _| F::LostReplies(j, 0.1), 2, 1.5, ""),
-        (
-            |j, _| F::LostReplies(j, 1.0),
-            2,
-            1.5,
-            "joint J: the drive does not answer",
-        ),
-        (|j, _| F::LostReplies(j, 0.5), 1, 1.5, "the bus loses"),
-        (|j, _| F::LostCommands(j, 0.1), 1, 1.5, ""),
-        (
-            |j, _| F::LostCommands(j, 1.0),
-            1,
-            1.5,
-            "joint J: the drive does not answer",
-        ),
-        (|j, _| F::LateReplies(j, 1), 0, 1.5, ""),
-        (|j, _| F::LateReplies(j, 6), 0, 1.5, ""),
-        (|j, _| F::DoubledCommands(j), 2, 1.5, ""),
-        (|j, _| F::DoubledReplies(j), 0, 1.5, ""),
+    // A fault of a joint from 0 to 2 or of its bus, the joint, and the message of its end. Each is tried on both buses, whose
+    // joints are 1 to 3 and 4 to 6.
+    const SILENT: &str = "joint J: the drive does not answer";
+    let cases: [(FaultOf, usize, &str); 19] = [
+        (|j, _| F::LostReplies(j, 0.1), 2, ""),
+        (|j, _| F::LostReplies(j, 1.0), 2, SILENT),
+        (|j, _| F::LostReplies(j, 0.5), 1, "the bus loses"),
+        (|j, _| F::LostCommands(j, 0.1), 1, ""),
+        (|j, _| F::LostCommands(j, 1.0), 1, SILENT),
+        (|j, _| F::LateReplies(j, 1), 0, ""),
+        (|j, _| F::LateReplies(j, 6), 0, ""),
+        (|j, _| F::DoubledCommands(j), 2, ""),
+        (|j, _| F::DoubledReplies(j), 0, ""),
         (
             |j, _| F::StuckReply(j),
             1,
-            1.5,
             "joint J: the reply of the drive repeats itself",
         ),
-        (|j, _| F::WrongIdentifier(j, j as u8 + 2), 0, 1.5, "joint "),
-        (
-            |j, _| F::WrongIdentifier(j, 9),
-            0,
-            1.5,
-            "joint J: the drive does not answer",
-        ),
-        (|j, _| F::FlippedBits(j, 0.02), 1, 1.5, ""),
-        (
-            |j, _| F::Dead(j),
-            1,
-            1.5,
-            "joint J: the drive does not answer",
-        ),
+        (|j, _| F::WrongIdentifier(j, j as u8 + 2), 0, "joint "),
+        (|j, _| F::WrongIdentifier(j, 9), 0, SILENT),
+        (|j, _| F::FlippedBits(j, 0.02), 1, ""),
+        (|j, _| F::Dead(j), 1, SILENT),
         (
             |j, _| F::Reset(j),
             2,
-            1.5,
             "joint J: the drive has switched itself off",
         ),
         (
             |j, _| F::DriveFault(j, 0xa),
             2,
-            1.5,
             "joint J: the drive reports fault 0xa",
         ),
-        (|_, bus| F::BusOff(bus), 0, 1.5, "the bus is off"),
-        (|_, bus| F::BusOff(bus), 0, 0.01, "the bus is off"),
-        (|_, bus| F::Babble(bus, 0), 0, 1.5, "joint "),
-        (|_, bus| F::Overload(bus, 0.3), 0, 1.5, " "),
+        (|_, bus| F::BusOff(bus), 0, "the bus is off"),
+        (|_, bus| F::Babble(bus, 0), 0, "joint "),
+        (|_, bus| F::Overload(bus, 0.3), 0, " "),
     ];
-    for (fault, joint, for_s, message) in cases {
+    let lasting = cases.into_iter().map(|case| (case, 1.5));
+    let short: (FaultOf, usize, &str) = (|_, bus| F::BusOff(bus), 0, "the bus is off");
+    for ((fault, joint, message), for_s) in lasting.chain([(short, 0.01)]) {
         for bus in 0..2 {
             let joint = joint + 3 * bus;
             let fault = fault(joint, bus);

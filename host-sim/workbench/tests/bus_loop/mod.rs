@@ -6,7 +6,7 @@ mod scenarios;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use foretorque::learning::ParameterSet;
-use foretorque_link::drives::{DriveState, Protocol};
+use foretorque_link::drives::DriveState;
 use foretorque_workbench::bus::sim::{LineFault, SimulatedNetwork, TimedFault, plant_config};
 use foretorque_workbench::bus::{BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::motion_f32;
@@ -70,25 +70,37 @@ fn begin(player: &mut Player, path: &Trajectory<6>) {
     player.approach(&path.at(0.0).q).expect("it comes there");
 }
 
+/// Plays the path, learning or not; calls `seen` after every tick with the time, s, and the torque.
+fn play(
+    player: &mut Player,
+    (profile, path): (&Profile, &Trajectory<6>),
+    learning: bool,
+    mut seen: impl FnMut(&Player, f64, &Joints<6>),
+) {
+    begin(player, path);
+    player.controller.set_learning(learning);
+    for tick in 0..path.ticks(player.period_s()) {
+        let t_s = tick as f64 * player.period_s();
+        let motion = motion_f32(&path.at(t_s + profile.lead_s()));
+        let result = player.tick(Some(&motion)).expect("the bus is there");
+        player.check().expect("no fault");
+        seen(player, t_s, &result.torque.total.cast());
+    }
+}
+
 /// RMS tracking error, mrad, over the end of a path that is learnt for `learn_s`; then the arm is parked.
 fn tracking_mrad(profile: &Profile, forward: bool, learn_s: f64) -> f64 {
     const JUDGED_S: f64 = 6.0;
     let path = path(learn_s + JUDGED_S);
     let mut player = player(profile, &path, forward);
-    begin(&mut player, &path);
-    player.controller.set_learning(forward);
     let (mut sum, mut count) = (0.0, 0);
-    for tick in 0..path.ticks(player.period_s()) {
-        let t_s = tick as f64 * player.period_s();
-        let motion = motion_f32(&path.at(t_s + profile.lead_s()));
-        player.tick(Some(&motion)).expect("the bus is there");
-        player.check().expect("no fault");
+    play(&mut player, (profile, &path), forward, |player, t_s, _| {
         if t_s > learn_s {
             let error = player.network.plant.q() - path.at(t_s).q;
             sum += error.norm_squared() / 6.0;
             count += 1;
         }
-    }
+    });
     let counters = (0..6).map(|joint| player.controller.drives().counters(joint).lost as usize);
     let (lost, replies) = (counters.sum::<usize>(), 6 * path.ticks(player.period_s()));
     assert!(1000 * lost < replies, "{lost} of {replies} replies lost");
@@ -164,23 +176,4 @@ fn arming_that_fails_switches_every_drive_off_again() {
         }
     }
     assert!(failed > 10, "{failed}");
-}
-
-#[test]
-fn drives_whose_limits_are_not_those_of_the_profile_are_not_armed() {
-    let profile = profile(500.0);
-    let path = path(10.0);
-    let mut other = profile.clone();
-    if let Protocol::Damiao(ranges) = &mut other.joint[3].drive.protocol {
-        ranges.torque = 100.0;
-    }
-    let mut player = player(&profile, &path, true);
-    let wired = self::player(&other, &path, true).network;
-    player.network = wired;
-    let refused = player.arm().expect_err("the scales differ").to_string();
-    assert_eq!(
-        refused,
-        "torque off: joint 4: scale of torque is 10 in the profile, 100 in the drive"
-    );
-    assert!(player.network.all_off());
 }

@@ -1,6 +1,6 @@
 //! Every family of drives in the loop, a payload, and friction that drifts. Torques are reported in steps of 12 bits.
 
-use super::{Player, Set, begin, described, network, path, player, profile, tracking_mrad};
+use super::{Player, Set, described, network, path, play, player, profile, tracking_mrad};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::learning::rated_payload;
@@ -15,27 +15,19 @@ use foretorque_workbench::robot::Robot;
 
 const RATE_HZ: f64 = 500.0;
 
-/// Plays a path while the loop learns; calls `seen` after every tick with the time, s.
-fn play(
-    set: Set,
+/// Plays a path on such an arm while the loop learns; calls `seen` after every tick with the time, s, and the torque.
+fn play_on(
     plant: PlantConfig,
     events: Events<6>,
+    set: Set,
     duration_s: f64,
-    mut seen: impl FnMut(&Player, f64, &Joints<6>),
+    seen: impl FnMut(&Player, f64, &Joints<6>),
 ) -> Player {
     let (profile, path) = (profile(RATE_HZ), path(duration_s));
     let config = profile.config::<Ur5, 6, 40>().expect("it fits the arm");
     let network = network(&profile, &path, plant, events);
     let mut player = BusPlayer::new(config, set, network).expect("it fits the arm");
-    begin(&mut player, &path);
-    player.controller.set_learning(true);
-    for tick in 0..path.ticks(player.period_s()) {
-        let t_s = tick as f64 * player.period_s();
-        let motion = motion_f32(&path.at(t_s + profile.lead_s()));
-        let result = player.tick(Some(&motion)).expect("the bus is there");
-        player.check().expect("no fault");
-        seen(&player, t_s, &result.torque.total.cast());
-    }
+    play(&mut player, (&profile, &path), true, seen);
     player
 }
 
@@ -45,7 +37,7 @@ fn learnt() -> Set {
         viscous_drift: 0.0,
         ..PlantConfig::default()
     };
-    let player = play(described(), still, Events::default(), 40.0, |_, _, _| {});
+    let player = play_on(still, Events::default(), described(), 40.0, |_, _, _| {});
     player.controller.feed_forward().in_force()
 }
 
@@ -59,23 +51,18 @@ fn learnt_torque_follows_friction_that_drifts_by_a_third() {
     };
     let (profile, path) = (profile(RATE_HZ), path(60.0));
     let mut squares = [0.0; 2];
-    play(
-        set,
-        plant,
-        Events::default(),
-        60.0,
-        |player, t_s, acting| {
-            let desired = path.at(t_s + profile.lead_s());
-            let needed = player.network.plant.true_torque(&desired);
-            let frozen = evaluate::<Ur5, 6, 40>(&set, &motion_f32(&desired)).total;
-            for j in (0..6).filter(|&j| desired.qd[j].abs() > MOVING_RAD_S) {
-                let torques = [acting[j], f64::from(frozen[j])];
-                for (sum, torque) in squares.iter_mut().zip(torques) {
-                    *sum += ((torque - needed[j]) / limits[j].limits.torque).powi(2);
-                }
+    let none = Events::default();
+    play_on(plant, none, set, 60.0, |player, t_s, acting| {
+        let desired = path.at(t_s + profile.lead_s());
+        let needed = player.network.plant.true_torque(&desired);
+        let frozen = evaluate::<Ur5, 6, 40>(&set, &motion_f32(&desired)).total;
+        for j in (0..6).filter(|&j| desired.qd[j].abs() > MOVING_RAD_S) {
+            let torques = [acting[j], f64::from(frozen[j])];
+            for (sum, torque) in squares.iter_mut().zip(torques) {
+                *sum += ((torque - needed[j]) / limits[j].limits.torque).powi(2);
             }
-        },
-    );
+        }
+    });
     let ratio = (squares[0] / squares[1]).sqrt();
     println!("learnt over frozen while friction drifts: {ratio:.3}");
     assert!(ratio <= 0.8, "{ratio}");
@@ -97,7 +84,7 @@ fn a_payload_is_weighed_within_a_tenth_and_let_go() {
             ..Events::default()
         };
         let plant = PlantConfig::default();
-        let player = play(set, plant, events, 38.0, |player, t_s, _| {
+        let player = play_on(plant, events, set, 38.0, |player, t_s, _| {
             let plant_s = player.network.plant.t_s();
             path_begins_s = plant_s - t_s;
             let next = held.get(weighed.len());
@@ -132,55 +119,43 @@ fn spoken(profile: &Profile, protocol: impl Fn(Ranges) -> Protocol) -> Profile {
 /// Every other family of drives: its codec, and a scale that the drive reports otherwise than the profile.
 fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
     let profile = profile(500.0);
+    let over = |protocol: &dyn Fn(Ranges) -> Protocol| spoken(&profile, protocol);
     let moteus = |resolution| {
-        spoken(&profile, |_| {
-            Protocol::Moteus(Moteus {
-                kp: 1000.0,
-                kd: 40.0,
-                watchdog_s: 0.05,
-                resolution,
-            })
-        })
+        let moteus = Moteus {
+            kp: 1000.0,
+            kd: 40.0,
+            watchdog_s: 0.05,
+            resolution,
+        };
+        over(&|_| Protocol::Moteus(moteus))
     };
     let odrive = |torque_scale| {
-        spoken(&profile, move |_| {
-            Protocol::Odrive(Odrive {
-                mode: ControlMode::Position,
-                velocity_scale: 1000.0,
-                torque_scale,
-                torque_scale_endpoint: 5,
-                polled: false,
-            })
-        })
+        let odrive = Odrive {
+            mode: ControlMode::Position,
+            velocity_scale: 1000.0,
+            torque_scale,
+            torque_scale_endpoint: 5,
+            polled: false,
+        };
+        over(&|_| Protocol::Odrive(odrive))
     };
     let cia402 = |rated_torque| {
-        spoken(&profile, move |_| {
-            Protocol::Cia402(Cia402 {
-                mode: ControlMode::Position,
-                counts_per_turn: 1_048_576.0,
-                rated_torque,
-            })
-        })
+        let cia402 = Cia402 {
+            mode: ControlMode::Position,
+            counts_per_turn: 1_048_576.0,
+            rated_torque,
+        };
+        over(&|_| Protocol::Cia402(cia402))
     };
-    let limited = |mut ranges: Ranges| {
-        ranges.torque *= 0.3;
-        ranges
+    let limited = |ranges: Ranges| Ranges {
+        torque: 0.3 * ranges.torque,
+        ..ranges
     };
+    let weak_gear = over(&|ranges| Protocol::CyberGear(limited(ranges)));
+    let weak_stride = over(&|ranges| Protocol::RobStride(limited(ranges)));
     vec![
-        (
-            "cyber-gear",
-            spoken(&profile, Protocol::CyberGear),
-            Some(spoken(&profile, |ranges| {
-                Protocol::CyberGear(limited(ranges))
-            })),
-        ),
-        (
-            "robstride",
-            spoken(&profile, Protocol::RobStride),
-            Some(spoken(&profile, |ranges| {
-                Protocol::RobStride(limited(ranges))
-            })),
-        ),
+        ("cyber-gear", over(&Protocol::CyberGear), Some(weak_gear)),
+        ("robstride", over(&Protocol::RobStride), Some(weak_stride)),
         ("moteus int16", moteus(Resolution::Int16), None),
         ("moteus f32", moteus(Resolution::F32), None),
         ("odrive", odrive(1000.0), Some(odrive(100.0))),

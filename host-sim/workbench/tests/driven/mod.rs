@@ -7,8 +7,7 @@ use foretorque_workbench::board::log::Messages;
 use foretorque_workbench::board::qemu::{Image, QemuOptions};
 use parts::{drive, encoder};
 use std::fs;
-use std::ops::{Deref, DerefMut};
-use std::path::PathBuf;
+use std::path::Path;
 
 /// State of the drive in the trace.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -45,66 +44,43 @@ impl Stage {
     }
 }
 
-/// The board that drives its joint.
-pub(crate) struct Drive {
-    trial: Trial,
-    elf: PathBuf,
-    log: PathBuf,
+/// The firmware that drives its joint as it is flashed, or a patched copy of it.
+pub(crate) fn start(name: &str, patches: &[(&str, Vec<u16>)]) -> Trial {
+    let name = format!("drive-{name}");
+    let mut options = QemuOptions::new(Image::Joint);
+    options.elf.set_file_name("joint-drive");
+    if !patches.is_empty() {
+        options.elf = patched(&options.elf, &format!("joint-{name}"), patches);
+    }
+    options.log = Some(scratch(&format!("{name}.log")));
+    Trial::start(&name, options)
 }
 
-impl Deref for Drive {
-    type Target = Trial;
-
-    fn deref(&self) -> &Trial {
-        &self.trial
-    }
+/// With drive and encoder, which stands at `angle` counts; they end after so many readings of the encoder.
+pub(crate) fn equipped(name: &str, angle: u16, encoder_ends: u16, drive_ends: u16) -> Trial {
+    let patches = [
+        ("3spi8exchange", encoder(angle, encoder_ends)),
+        ("4pins8pin_high", drive(drive_ends)),
+    ];
+    start(name, &patches)
 }
 
-impl DerefMut for Drive {
-    fn deref_mut(&mut self) -> &mut Trial {
-        &mut self.trial
+pub(crate) fn armed(name: &str, encoder_ends: u16, drive_ends: u16) -> Trial {
+    let mut trial = equipped(name, 0, encoder_ends, drive_ends);
+    for _ in 0..5 {
+        trial.sample(&still());
     }
+    trial.client.arm(&still()).expect("it can be armed");
+    for _ in 0..30 {
+        trial.sample(&still());
+    }
+    let stage = trial.stage();
+    let driven = stage.enabled && stage.gate && stage.width > 100;
+    assert!(driven, "{stage:?}");
+    trial
 }
 
-impl Drive {
-    /// The firmware as it is flashed, or a patched copy of it.
-    pub(crate) fn start(name: &str, patches: &[(&str, Vec<u16>)]) -> Self {
-        let name = format!("drive-{name}");
-        let mut options = QemuOptions::new(Image::Joint);
-        options.elf.set_file_name("joint-drive");
-        if !patches.is_empty() {
-            options.elf = patched(&options.elf, &format!("joint-{name}"), patches);
-        }
-        let (elf, log) = (options.elf.clone(), scratch(&format!("{name}.log")));
-        options.log = Some(log.clone());
-        let trial = Trial::start(&name, options);
-        Self { trial, elf, log }
-    }
-
-    /// With drive and encoder, which stands at `angle` counts; they end after so many readings of the encoder.
-    pub(crate) fn equipped(name: &str, angle: u16, encoder_ends: u16, drive_ends: u16) -> Self {
-        let patches = [
-            ("3spi8exchange", encoder(angle, encoder_ends)),
-            ("4pins8pin_high", drive(drive_ends)),
-        ];
-        Self::start(name, &patches)
-    }
-
-    pub(crate) fn armed(name: &str, encoder_ends: u16, drive_ends: u16) -> Self {
-        let mut trial = Self::equipped(name, 0, encoder_ends, drive_ends);
-        for _ in 0..5 {
-            trial.sample(&still());
-        }
-        trial.client.arm(&still()).expect("it can be armed");
-        for _ in 0..30 {
-            trial.sample(&still());
-        }
-        let stage = trial.stage();
-        let driven = stage.enabled && stage.gate && stage.width > 100;
-        assert!(driven, "{stage:?}");
-        trial
-    }
-
+impl Trial {
     pub(crate) fn stage(&self) -> Stage {
         Stage::of(&self.trace())
     }
@@ -116,9 +92,9 @@ impl Drive {
     }
 
     pub(crate) fn log(&self) -> String {
-        let elf = fs::read(&self.elf).expect("readable");
-        let messages = Messages::of(&elf).expect("it has messages");
-        let stream = fs::read(&self.log).expect("the emulator writes a log");
+        let read = |path: &Path| fs::read(path).expect("readable");
+        let messages = Messages::of(&read(&self.options.elf)).expect("it has messages");
+        let stream = read(self.options.log.as_deref().expect("it has a log"));
         let lines = messages.lines(&stream);
         lines.expect("no frame is lost").join("\n")
     }

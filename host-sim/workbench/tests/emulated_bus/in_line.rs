@@ -1,7 +1,7 @@
 //! The board in line between a host and six drives.
 
-use super::{Emulated, FrameBoard, PATIENCE, Ported, Twin, connected, profile, wiring};
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use super::{Emulated, FrameBoard, Ported, Twin, connected, profile, wiring};
+use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::JointSample;
 use foretorque_link::bus::{Role, Wiring};
 use foretorque_link::drives::{
@@ -80,6 +80,28 @@ fn of_port(frames: &Ported, port: u8) -> Vec<Frame> {
     of.map(|(_, frame)| *frame).collect()
 }
 
+/// Every frame that came with the one that left for it at the other port: period, port, both frames.
+fn passed(rounds: &Rounds) -> Vec<(usize, u8, Frame, Frame)> {
+    let mut passed = Vec::new();
+    for (period, (came, left)) in rounds.iter().enumerate() {
+        for port in 0..2 {
+            let (came, left) = (of_port(came, port), of_port(left, 1 - port));
+            assert_eq!(came.len(), left.len(), "period {period}");
+            let pairs = came.into_iter().zip(left);
+            passed.extend(pairs.map(|(came, left)| (period, port, came, left)));
+        }
+    }
+    passed
+}
+
+/// The command to this drive in a frame.
+fn command(drive: &DriveProfile, frame: &Frame) -> Option<JointCommand> {
+    match drive.accept(frame) {
+        Some(Request::Command(command)) => Some(command),
+        _ => None,
+    }
+}
+
 /// Arms a board in line and stops it again; the frames that have left. Only torques of commands differ, by the board's.
 fn pass(board: impl FrameBoard + 'static, wiring: &Wiring<JOINTS>) -> Rounds {
     let rounds = Rc::new(RefCell::new(Rounds::new()));
@@ -105,30 +127,19 @@ fn pass(board: impl FrameBoard + 'static, wiring: &Wiring<JOINTS>) -> Rounds {
     let drives = drives(wiring);
     let rounds = rounds.borrow().clone();
     let mut changed = 0;
-    for (period, (came, left)) in rounds.iter().enumerate() {
-        for port in 0..2 {
-            let (came, left) = (of_port(came, port), of_port(left, 1 - port));
-            assert_eq!(came.len(), left.len(), "period {period}");
-            for (came, left) in came.into_iter().zip(left) {
-                let joint = drives.iter().position(|drive| {
-                    port == 0 && matches!(drive.accept(&came), Some(Request::Command(_)))
-                });
-                let Some((joint, torque)) = joint.zip(torques.get(&period)) else {
-                    assert_eq!(came, left, "period {period}");
-                    continue;
-                };
-                let Some(Request::Command(command)) = drives[joint].accept(&left) else {
-                    panic!("{left:?}");
-                };
-                let error = (command.torque - torque[joint]).abs();
-                let step = drives[joint].torque_resolution();
-                assert!(
-                    error <= 2.0 * step,
-                    "period {period}, joint {joint}: {command:?}, {torque}"
-                );
-                changed += u32::from(came != left);
-            }
-        }
+    for (period, port, came, left) in passed(&rounds) {
+        let joint = drives
+            .iter()
+            .position(|drive| port == 0 && command(drive, &came).is_some());
+        let Some((joint, torque)) = joint.zip(torques.get(&period)) else {
+            assert_eq!(came, left, "period {period}");
+            continue;
+        };
+        let seen = command(&drives[joint], &left).expect("a command stays one");
+        let error = (seen.torque - torque[joint]).abs();
+        let near = error <= 2.0 * drives[joint].torque_resolution();
+        assert!(near, "period {period}, joint {joint}: {seen:?}, {torque}");
+        changed += u32::from(came != left);
     }
     assert!(changed > 60, "{changed} commands changed");
     rounds
@@ -166,17 +177,10 @@ fn a_board_without_a_wiring_passes_every_frame_and_refuses_to_arm() {
     for period in 0..5 {
         let sent = traffic(&wiring, period);
         board.deliver(&sent);
-        let left = board.left();
-        for port in 0..2 {
-            assert_eq!(
-                of_port(&sent, port),
-                of_port(&left, 1 - port),
-                "period {period}"
-            );
-        }
+        let pairs = passed(&vec![(sent, board.left())]);
+        assert!(pairs.iter().all(|(_, _, sent, left)| sent == left));
     }
-    let mut client = Client::<JOINTS>::connect::<Ur5, PARAMETERS>(Box::new(board), PATIENCE)
-        .unwrap_or_else(|error| panic!("{error}"));
+    let mut client = crate::trial::connected(board);
     let refused = client.arm(&idle()).expect_err("there are no drives");
     assert!(refused.to_string().contains("drive fault"), "{refused}");
 }
@@ -213,10 +217,7 @@ const FAULT: [usize; 3] = [60, 170, 260];
 impl Fault {
     /// Changes the traffic of a period after the begin of the fault.
     fn disturb(self, drives: &[DriveProfile], period: usize, came: &mut Ported) {
-        let is_command = |frame: &Frame| {
-            let mut drives = drives.iter();
-            drives.any(|drive| matches!(drive.accept(frame), Some(Request::Command(_))))
-        };
+        let is_command = |frame: &Frame| drives.iter().any(|drive| command(drive, frame).is_some());
         match self {
             Self::HostSilent if period < FAULT[0] + 110 => {
                 came.retain(|(port, frame)| *port == 1 || !is_command(frame));
@@ -257,9 +258,7 @@ impl Fault {
                 let _ = drives[1].command(&jump, &mut Carry::default(), &mut frames);
                 let commands = came.iter_mut().filter(|(port, _)| *port == 0);
                 commands
-                    .filter(|(_, frame)| {
-                        matches!(drives[1].accept(frame), Some(Request::Command(_)))
-                    })
+                    .filter(|(_, frame)| command(&drives[1], frame).is_some())
                     .for_each(|(_, frame)| *frame = frames[0]);
             }
             _ => {}
@@ -317,22 +316,15 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
             }
         }
         let (mut changed, mut last) = (0, 0);
-        for (period, (came, left)) in rounds.borrow().iter().enumerate() {
-            for port in 0..2 {
-                let (came, left) = (of_port(came, port), of_port(left, 1 - port));
-                assert_eq!(came.len(), left.len(), "{fault:?}, period {period}");
-                for (came, left) in came.iter().zip(&left).filter(|(came, left)| came != left) {
-                    let mut drives = wiring.joints.iter().flatten().map(|joint| joint.drive);
-                    let command = |drive: DriveProfile, frame| {
-                        matches!(drive.accept(frame), Some(Request::Command(_)))
-                    };
-                    assert!(
-                        port == 0
-                            && drives.any(|drive| command(drive, came) && command(drive, left)),
-                        "{fault:?}, period {period}: {came:?} {left:?}"
-                    );
-                    (changed, last) = (changed + 1, period);
-                }
+        for (period, port, came, left) in passed(&rounds.borrow()) {
+            if came != left {
+                let mut drives = wiring.joints.iter().flatten().map(|joint| joint.drive);
+                let of_drive = drives.any(|drive| {
+                    command(&drive, &came).is_some() && command(&drive, &left).is_some()
+                });
+                let sound = port == 0 && of_drive;
+                assert!(sound, "{fault:?}, period {period}: {came:?} {left:?}");
+                (changed, last) = (changed + 1, period);
             }
         }
         println!("{fault:?}: {changed} commands with torque, the last in period {last}");

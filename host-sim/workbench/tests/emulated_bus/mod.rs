@@ -6,11 +6,13 @@ mod master;
 mod moteus;
 
 use crate::bus_loop::{network, path, profile};
+use crate::trial;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque_link::bus::{BoardDrives, Role, Wires, Wiring};
 use foretorque_link::drives::Frame;
 use foretorque_link::drives::in_line::InLine;
 use foretorque_link::drives::text::{Direction, read_line, write_line};
+use foretorque_link::session::{BoardDescription, NoClock};
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Client, Native, Transport};
 use foretorque_workbench::bus::Profile;
@@ -66,9 +68,7 @@ fn connected<B: FrameBoard + 'static>(
     board: B,
     before: impl FnMut(&mut B) -> bool + 'static,
 ) -> Client<JOINTS> {
-    let board = Box::new(Ticked { board, before });
-    let client = Client::connect::<Ur5, PARAMETERS>(board, PATIENCE);
-    let mut client = client.unwrap_or_else(|error| panic!("{error}"));
+    let mut client = trial::connected(Ticked { board, before });
     client.set_timeout(PATIENCE);
     client
 }
@@ -90,7 +90,8 @@ impl Twin {
         let profiles = std::array::from_fn(|j| wiring.joints[j].map(|joint| joint.drive));
         let in_line = wiring.role == Role::InLine;
         Self {
-            board: Native::with_sensor(Drives::new(wiring)).expect("usable limits"),
+            board: Native::described(BoardDescription::plain(NoClock), Drives::new(wiring))
+                .expect("usable limits"),
             in_line: in_line.then(|| InLine::new(profiles, EXPIRY)),
             now: 0,
             left: Vec::new(),
@@ -188,7 +189,7 @@ fn wiring_file(name: &str, wiring: Option<&Wiring<JOINTS>>) -> PathBuf {
         Some(wiring) => wiring.encode(&mut buffer).expect("it fits").to_vec(),
         None => buffer.to_vec(),
     };
-    let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.wiring"));
+    let file = trial::scratch(&format!("{name}.wiring"));
     std::fs::write(&file, bytes).expect("it can be written");
     file
 }
@@ -198,7 +199,7 @@ impl Emulated {
         let mut options = QemuOptions::new(Image::Joint);
         options.elf.set_file_name("joint-can");
         options.wiring = Some(wiring_file(name, wiring));
-        let mut board = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
+        let mut board = trial::started(&options);
         let ports = board.take_frame_ports().expect("it has a wiring");
         let ports = ports.map(|end| {
             let stream = UnixStream::from(end);

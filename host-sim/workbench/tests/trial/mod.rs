@@ -49,6 +49,7 @@ pub(crate) fn scratch(name: &str) -> PathBuf {
 /// A firmware in the emulator, and the trace of its pins.
 pub(crate) struct Trial {
     pub(crate) client: Client<JOINTS>,
+    pub(crate) options: QemuOptions,
     trace: PathBuf,
 }
 
@@ -58,7 +59,11 @@ impl Trial {
         options.trace = Some(trace.clone());
         let mut client = connected(started(&options));
         client.set_timeout(PATIENCE);
-        Self { client, trace }
+        Self {
+            client,
+            options,
+            trace,
+        }
     }
 
     pub(crate) fn trace(&self) -> String {

@@ -8,8 +8,8 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_link::excitation::{ExcitationCommand, ExcitationProgram, ExcitationState};
 use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
 use foretorque_link::wire::{
-    BankSource, BoardMessage, CHUNK, Capabilities, Chunk, HostMessage, MAC_BYTES, NackReason,
-    SampleFlags, SampleFrame,
+    BankSource, BoardMessage, CHUNK, Capabilities, HostMessage, MAC_BYTES, NackReason, SampleFlags,
+    SampleFrame, TorqueFrame,
 };
 use foretorque_link::write_key::WriteKey;
 use std::time::Duration;
@@ -21,32 +21,21 @@ impl<const N: usize> Client<N> {
     /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
     pub fn upload_bank(&mut self, bank: &ParameterBank) -> Result<(), BoardError> {
         if bank.arm_hash != self.hello.arm_hash {
-            return Err(BoardError::WrongBank {
-                wanted: format!("{} ({:08x})", self.hello.arm, self.hello.arm_hash),
-                found: format!("{} ({:08x})", bank.arm, bank.arm_hash),
-            });
+            let [found, wanted] = [
+                (&bank.arm, bank.arm_hash),
+                (&self.hello.arm, self.hello.arm_hash),
+            ]
+            .map(|(arm, hash)| format!("{arm} ({hash:08x})"));
+            return Err(BoardError::WrongBank(found, wanted));
         }
         self.bring_to_rest()?;
         let mut buffer = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut buffer).map_err(BoardError::Bank)?;
-        let mac = self.signature(bytes)?;
-        self.upload(bytes)?;
-        // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
-        let sequence = self.post(&HostMessage::BankCommit {
-            length: bytes.len() as u16,
-            crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+        self.upload(bytes, |length, crc, mac| HostMessage::BankCommit {
+            length,
+            crc,
             mac,
-        })?;
-        acknowledged(self.wait_for(sequence, self.timeout)?)
-    }
-
-    /// The signature of an upload, where the board has a write key.
-    pub(super) fn signature(
-        &mut self,
-        upload: &[u8],
-    ) -> Result<Option<[u8; MAC_BYTES]>, BoardError> {
-        let signed = self.challenge()?;
-        Ok(signed.map(|(key, nonce)| key.sign_upload(&nonce, self.hello.arm_hash, upload)))
+        })
     }
 
     /// Sends `program` and has the board take it over, whole or not at all. Learning must be off; the board's check runs
@@ -56,24 +45,32 @@ impl<const N: usize> Client<N> {
         let bytes = program
             .encode(&mut buffer)
             .expect("an excitation of few joints is shorter than a bank");
-        let mac = self.signature(bytes)?;
-        self.upload(bytes)?;
-        let sequence = self.post(&HostMessage::ExcitationLoad {
-            length: bytes.len() as u16,
-            crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes),
+        self.upload(bytes, |length, crc, mac| HostMessage::ExcitationLoad {
+            length,
+            crc,
             mac,
-        })?;
-        acknowledged(self.wait_for(sequence, self.timeout)?)
+        })
     }
 
-    pub(super) fn upload(&mut self, bytes: &[u8]) -> Result<(), BoardError> {
+    /// Sends `bytes` in pieces, then the message that has the board take over their length and checksum, signed where the board
+    /// has a write key.
+    fn upload(
+        &mut self,
+        bytes: &[u8],
+        commit: impl Fn(u16, u32, Option<[u8; MAC_BYTES]>) -> HostMessage<N>,
+    ) -> Result<(), BoardError> {
+        let signed = self.challenge()?;
+        let mac = signed.map(|(key, nonce)| key.sign_upload(&nonce, self.hello.arm_hash, bytes));
         for (place, chunk) in bytes.chunks(CHUNK).enumerate() {
             self.command(&HostMessage::BankWrite {
                 offset: (place * CHUNK) as u16,
                 bytes: chunk.iter().copied().collect(),
             })?;
         }
-        Ok(())
+        let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes);
+        // Not asked twice: the first commit ends the upload, so a second would be refused although the first was good.
+        let sequence = self.post(&commit(bytes.len() as u16, crc, mac))?;
+        acknowledged(self.wait_for(sequence, self.timeout)?)
     }
 
     /// The bank in force on the board, what it has learnt included.
@@ -86,30 +83,22 @@ impl<const N: usize> Client<N> {
         let mut bank = Vec::new();
         loop {
             let wanted = bank.len() as u16;
-            let (length, piece) = self.read_chunk(source, wanted)?;
+            let question = HostMessage::BankRead {
+                source,
+                offset: wanted,
+            };
+            let (length, piece) = match self.ask(&question)? {
+                BoardMessage::BankChunk {
+                    offset,
+                    length,
+                    bytes,
+                } if offset == wanted => (length, bytes),
+                other => return Err(refused(other)),
+            };
             bank.extend_from_slice(&piece);
             if bank.len() >= usize::from(length) || piece.is_empty() {
                 return ParameterBank::decode(&bank).map_err(BoardError::Bank);
             }
-        }
-    }
-
-    pub(super) fn read_chunk(
-        &mut self,
-        source: BankSource,
-        wanted: u16,
-    ) -> Result<(u16, Chunk), BoardError> {
-        let question = HostMessage::BankRead {
-            source,
-            offset: wanted,
-        };
-        match self.ask(&question)? {
-            BoardMessage::BankChunk {
-                offset,
-                length,
-                bytes,
-            } if offset == wanted => Ok((length, bytes)),
-            other => Err(refused(other)),
         }
     }
 
@@ -170,37 +159,33 @@ impl<const N: usize> Client<N> {
         }
         self.skip_period();
         let sequence = self.post(&HostMessage::Sample(frame))?;
-        let reply = self.wait_for(sequence, self.timeout)?;
-        let reply = match reply {
-            BoardMessage::Torque(reply) => Ok(TickReply {
-                tick: reply.tick,
-                flags: Flags(reply.flags),
-                safety: reply.safety,
-                total: reply.total.into(),
-                shares: BoardShares::Joint(reply.tick as usize % N, reply.shares),
-                excited: None,
-            }),
-            BoardMessage::Excited(reply) => Ok(TickReply {
-                tick: reply.torque.tick,
-                flags: Flags(reply.torque.flags),
-                safety: reply.torque.safety,
-                total: reply.torque.total.into(),
-                shares: BoardShares::Joint(reply.torque.tick as usize % N, reply.torque.shares),
-                excited: Some((reply.state, reply.desired())),
-            }),
+        let of_joint = |reply: TorqueFrame<N>, excited| TickReply {
+            tick: reply.tick,
+            flags: Flags(reply.flags),
+            safety: reply.safety,
+            total: reply.total.into(),
+            shares: BoardShares::Joint(reply.tick as usize % N, reply.shares),
+            excited,
+        };
+        let reply = match self.wait_for(sequence, self.timeout)? {
+            BoardMessage::Torque(reply) => of_joint(reply, None),
+            BoardMessage::Excited(reply) => {
+                let excited = (reply.state, reply.desired());
+                of_joint(reply.torque, Some(excited))
+            }
             BoardMessage::FullTorque(reply) => {
                 let torque = Torque::from(&reply);
-                Ok(TickReply {
+                TickReply {
                     tick: torque.tick,
                     flags: torque.flags,
                     safety: reply.safety,
                     total: torque.total,
                     shares: BoardShares::All(torque.shares),
                     excited: None,
-                })
+                }
             }
-            other => Err(refused(other)),
-        }?;
+            other => return Err(refused(other)),
+        };
         self.safety = reply.safety;
         self.presented = Some(SampleFrame {
             flags: SampleFlags::default(),

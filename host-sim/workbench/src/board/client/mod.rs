@@ -76,16 +76,6 @@ impl<const N: usize> Client<N> {
         transport: Box<dyn Transport>,
         boot: Duration,
     ) -> Result<Self, BoardError> {
-        Self::connect_as(transport, A::name(), A::hash(), boot)
-    }
-
-    /// [`connect`](Self::connect) with name and identity of the arm as values.
-    pub fn connect_as(
-        transport: Box<dyn Transport>,
-        arm: &str,
-        arm_hash: u32,
-        boot: Duration,
-    ) -> Result<Self, BoardError> {
         let mut client = Self {
             period: 0,
             patient: !transport.keeps_time(),
@@ -105,14 +95,12 @@ impl<const N: usize> Client<N> {
         client.hello = client.greet(boot)?;
         client.safety = client.hello.safety;
         let found = &client.hello;
-        if found.arm_hash != arm_hash || usize::from(found.joints) != N {
-            return Err(BoardError::WrongRobot {
-                wanted: format!("{arm} ({arm_hash:08x})"),
-                found: format!(
-                    "{} ({:08x}, {} joints)",
-                    found.arm, found.arm_hash, found.joints
-                ),
-            });
+        if found.arm_hash != A::hash() || usize::from(found.joints) != N {
+            let (arm, hash, joints) = (&found.arm, found.arm_hash, found.joints);
+            return Err(BoardError::WrongRobot(
+                format!("{arm} ({hash:08x}, {joints} joints)"),
+                format!("{} ({:08x})", A::name(), A::hash()),
+            ));
         }
         Ok(client)
     }

@@ -1,10 +1,6 @@
 //! Settings of an emulated board.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-/// The emulator's program.
-const EMULATOR: &str = "qemu-system-arm";
 
 /// Firmware of the emulated board, and so its link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,8 +42,6 @@ impl Image {
 /// Settings of the emulator.
 #[derive(Clone, Debug)]
 pub struct QemuOptions {
-    /// The program.
-    pub emulator: PathBuf,
     /// The firmware.
     pub image: Image,
     /// Its ELF.
@@ -58,8 +52,6 @@ pub struct QemuOptions {
     /// Core shared by the emulator and the calling thread: they take turns, and waking a neighbour core costs more
     /// than the turn itself. `None` leaves both where they are.
     pub core: Option<usize>,
-    /// Longest time to the board's first byte.
-    pub boot: Duration,
     /// File for the raw defmt stream of the flashable firmware.
     pub log: Option<PathBuf>,
     /// File with the content of the store's sectors, which the emulated board can read and not change; `None` for zeros.
@@ -76,12 +68,10 @@ impl QemuOptions {
     /// Repeatable, on one core, without a log.
     pub fn new(image: Image) -> Self {
         Self {
-            emulator: EMULATOR.into(),
             image,
             elf: image.default_elf(),
             icount_shift: Some(3),
             core: nix::sched::sched_getcpu().ok(),
-            boot: Duration::from_secs(10),
             log: None,
             store: None,
             key: None,

@@ -1,6 +1,6 @@
 //! Steps of commissioning with torque: a push, slow sweeps in the loop, a known weight.
 
-use super::{Ask, BusError, Commissioning, mistake};
+use super::{Ask, BusError, Commissioning, check};
 use crate::bus::Network;
 use crate::closed_loop::motion_f32;
 use crate::dynamics::{Joints, State};
@@ -44,12 +44,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             }
             let coasted = self.run(joint, 0.0, (0.1, f64::INFINITY))?;
             self.settle(joint, 0.3)?;
-            if travel < 0.0 {
-                return Err(mistake(
-                    joint,
-                    format!("torque sign: +{push_nm:.2} N·m move it by {travel:.3} rad"),
-                ));
-            }
+            check(joint, travel >= 0.0, || {
+                format!("torque sign: +{push_nm:.2} N·m move it by {travel:.3} rad")
+            })?;
             self.found[joint].breakaway_nm = Some(push_nm);
             let moving = |(one, later): &(&(f64, f64), &(f64, f64))| {
                 (later.1 - one.1) / (later.0 - one.0) > 0.05
@@ -69,19 +66,15 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 .unwrap_or(0);
             let ratio = inertia * (acceleration(&pushed[start..]) - slowing) / push_nm;
             self.found[joint].torque_ratio = Some(ratio);
-            if !RATIOS.contains(&ratio) {
+            return check(joint, RATIOS.contains(&ratio), || {
                 let arrives = ratio * push_nm;
-                return Err(mistake(
-                    joint,
-                    format!(
-                        "scale of torque: of {push_nm:.2} N·m about {arrives:.2} N·m arrive, by its acceleration"
-                    ),
-                ));
-            }
-            return Ok(());
+                format!(
+                    "scale of torque: of {push_nm:.2} N·m about {arrives:.2} N·m arrive, by its acceleration"
+                )
+            });
         }
         let most = LEVELS[LEVELS.len() - 1] * limit;
-        Err(mistake(
+        Err(BusError::Mistake(
             joint,
             format!(
                 "scale of torque: no motion at {most:.2} N·m, a tenth of its limit; is it too small, or is the joint blocked?"
@@ -142,15 +135,12 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             }
             let gain = mean.recip();
             self.found[joint].gain = Some((gain, deviation * gain * gain));
-            if (gain - 1.0).abs() > GAIN_ERROR {
+            check(joint, (gain - 1.0).abs() <= GAIN_ERROR, || {
                 let (mass, measured) = (body.mass, mean * expected);
-                return Err(mistake(
-                    joint,
-                    format!(
-                        "gain of torque: {mass} kg are {expected:.2} N·m, {measured:.2} N·m are reported; it is {gain:.2}"
-                    ),
-                ));
-            }
+                format!(
+                    "gain of torque: {mass} kg are {expected:.2} N·m, {measured:.2} N·m are reported; it is {gain:.2}"
+                )
+            })?;
         }
         Ok(())
     }
@@ -237,7 +227,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 self.player.controller.receive(bus, &frame);
             }
             if let Some(DriveState::Fault(code)) = state {
-                return Err(mistake(joint, format!("the drive reports fault {code:#x}")));
+                return Err(BusError::Mistake(
+                    joint,
+                    format!("the drive reports fault {code:#x}"),
+                ));
             }
             if travel(&path).abs() > until.1 {
                 break;

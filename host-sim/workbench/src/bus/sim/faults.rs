@@ -36,6 +36,8 @@ pub enum LineFault {
     Babble(usize, u32),
     /// A bus runs at this share of its rate.
     Overload(usize, f64),
+    /// The user interrupts at the begin.
+    Interrupt,
 }
 
 /// A fault with its time, s, and the frames that it holds.

@@ -57,6 +57,7 @@ pub struct SimulatedNetwork<const N: usize> {
     steps: u64,
     period_s: f64,
     braked: bool,
+    interrupted: bool,
 }
 
 impl<const N: usize> SimulatedNetwork<N> {
@@ -93,6 +94,7 @@ impl<const N: usize> SimulatedNetwork<N> {
             steps: 0,
             period_s: f64::from(config.period_s),
             braked: true,
+            interrupted: false,
         }
     }
 
@@ -118,6 +120,7 @@ impl<const N: usize> SimulatedNetwork<N> {
         match self.fault.beginning(t_s, DRIVE_PERIOD_S) {
             Some(LineFault::Reset(j)) => self.drives[j].reset(),
             Some(LineFault::DriveFault(j, code)) => self.drives[j].state = DriveState::Fault(code),
+            Some(LineFault::Interrupt) => self.interrupted = true,
             _ => {}
         }
         let q = *self.plant.q();
@@ -218,7 +221,10 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
     }
 
     fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
-        Ok(self.inbox.pop_front())
+        match std::mem::take(&mut self.interrupted) {
+            true => Err(BusError::Interrupted(self.steps as u32)),
+            false => Ok(self.inbox.pop_front()),
+        }
     }
 
     fn wait(&mut self) -> Duration {
