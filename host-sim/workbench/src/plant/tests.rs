@@ -1,4 +1,4 @@
-//! The arm against its own torques, finer steps, closed forms of gears, and the statistics of its sensors.
+//! The arm against energy balance, finer steps, closed forms of gears, and the statistics of its sensors.
 
 use super::*;
 use crate::robot::Perturbation;
@@ -49,6 +49,58 @@ fn a_step_at_8_khz_is_within_a_milliradian_of_a_finer_one() {
     // First order: 15/128 of the error is left out by comparing with 128 kHz, hence 7/15 instead of 1/2.
     let ratio = halved / coarse;
     assert!((ratio - 7.0 / 15.0).abs() < 0.1, "{ratio}");
+}
+
+#[test]
+fn energy_is_kept_without_friction_and_torque() {
+    let mut robot = truth();
+    for joint in &mut robot.joints {
+        joint.friction.viscous = 0.0;
+        joint.friction.coulomb = 0.0;
+        joint.friction.cogging = 0.0;
+    }
+    let mut plant = Plant::<6>::new(&robot, quiet(64_000.0), 1).expect("six joints");
+    plant.place(&Joints::repeat(0.4));
+    let energy = |plant: &Plant<6>| plant.model.energy(&plant.q, &plant.qd);
+    let start = energy(&plant);
+    let kinetic = |plant: &Plant<6>| {
+        (plant.qd.transpose() * plant.model.mass_matrix(&plant.q) * plant.qd)[0] / 2.0
+    };
+    for _ in 0..1000 {
+        plant.advance(&Joints::zeros(), 1e-3);
+    }
+    let fallen = kinetic(&plant);
+    assert!(fallen > 1.0, "the arm falls: {fallen} J");
+    let lost = (energy(&plant) - start).abs() / fallen;
+    assert!(lost < 5e-3, "{lost} of the kinetic energy");
+}
+
+#[test]
+fn friction_and_work_balance_the_energy() {
+    let robot = truth();
+    let mut plant = Plant::<6>::new(&robot, quiet(64_000.0), 1).expect("six joints");
+    plant.place(&Joints::repeat(-0.6));
+    let start = plant.model.energy(&plant.q, &plant.qd);
+    let resisted = |plant: &Plant<6>, qd: &Joints<6>| {
+        let (state, zero) = (&plant.friction_state, Joints::zeros());
+        let friction = plant
+            .friction
+            .torque_and_slope(&plant.q, qd, &zero, state, 0.0);
+        friction.0
+    };
+    let mut work = 0.0;
+    for k in 0..1000 {
+        let tau = Joints::from_fn(|j, _| 20.0 * (f64::from(k) * 6e-3 + j as f64).sin());
+        let before = plant.qd;
+        let friction = resisted(&plant, &before);
+        plant.advance(&tau, 1e-3);
+        let after = resisted(&plant, &plant.qd);
+        let mean = (before + plant.qd) * 0.5;
+        work += 1e-3 * mean.dot(&(tau - (friction + after) * 0.5));
+    }
+    let change = plant.model.energy(&plant.q, &plant.qd) - start;
+    let balanced = (change - work).abs() < 0.02 * change.abs().max(1.0);
+    assert!(balanced, "{change} J, {work} J");
 }
 
 #[test]
@@ -252,4 +304,18 @@ fn a_file_of_effects_is_checked() {
         assert!(message.contains(outcome), "{message}");
     }
     std::fs::remove_file(&file).expect("is there");
+}
+
+#[test]
+fn the_same_seed_repeats_every_bit() {
+    let run = |seed| {
+        let mut plant = Plant::<6>::new(&truth(), PlantConfig::default(), seed).expect("six");
+        for _ in 0..50 {
+            let tau = plant.measure().tau;
+            plant.advance(&tau, 1e-3);
+        }
+        plant.q
+    };
+    assert_eq!(run(1), run(1));
+    assert_ne!(run(1), run(2));
 }
