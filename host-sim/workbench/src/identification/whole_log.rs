@@ -215,8 +215,9 @@ fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
     } else {
         period_s
     };
-    // Squared errors of dq by the stamps and by even steps.
-    let (mut by_stamps, mut by_steps) = (0.0, 0.0);
+    // Squared errors of dq by the stamps and by even steps, and squared differences between both. Errors of the velocities
+    // are in both: if the stamps are true, `by_steps − by_stamps` is `apart`; if the steps are even, it is `−apart`.
+    let (mut by_stamps, mut by_steps, mut apart) = (0.0, 0.0, 0.0);
     for pair in rows.windows(2) {
         let step_s = pair[1].t_s - pair[0].t_s;
         let periods = step_s / period_s;
@@ -232,12 +233,13 @@ fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
             let dq = pair[1].q[joint] - pair[0].q[joint];
             by_stamps += (dq - qd * step_s).powi(2);
             by_steps += (dq - qd * whole * period_s).powi(2);
+            apart += (qd * (step_s - whole * period_s)).powi(2);
         }
     }
     let on_arrival = shortest < ARRIVAL_PERIODS;
     let uneven = (jitter / f64::max(count, 1.0)).sqrt() > EVEN;
     match (uneven, has_velocity, on_arrival) {
-        (true, true, _) if by_stamps < 0.5 * by_steps => Clock::Stamps,
+        (true, true, _) if by_steps - by_stamps > 0.5 * apart => Clock::Stamps,
         (true, false, false) => Clock::Stamps,
         (_, _, true) => Clock::Arrival,
         _ => Clock::Even,
@@ -302,10 +304,16 @@ mod tests {
 
     /// Rows of a log of one joint that moves on a cubic, at these times, with these stamps.
     fn stamped(name: &str, times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
+        noisy(name, times_s, stamps_s, 0.0)
+    }
+
+    /// The same with velocities that are wrong by up to `error`, rad/s.
+    fn noisy(name: &str, times_s: &[f64], stamps_s: &[f64], error: f64) -> (Vec<LogRow>, WholeLog) {
         let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
         let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
         for (&t, stamp) in times_s.iter().zip(stamps_s) {
-            let (q, qd) = motion(t);
+            let (q, mut qd) = motion(t);
+            qd += error * (7e4 * t).sin();
             text += &format!("{stamp},{q},{qd},{}\n", 3.0 * t);
         }
         std::fs::write(&path, text).expect("a directory for temporary files");
@@ -360,6 +368,19 @@ mod tests {
             assert!((row.q[0] - q).abs() < 1e-9, "{} at {}", row.q[0], row.t_s);
         }
         assert!(rows.len() > 398, "{}", rows.len());
+    }
+
+    #[test]
+    fn errors_of_the_velocities_hide_no_clock() {
+        let even: Vec<f64> = (0..400).map(|k| 1e-3 * f64::from(k)).collect();
+        let jitter = |(k, t): (usize, &f64)| t + [0.0, 2e-4, -2e-4][k * 7 % 5 % 3];
+        let uneven: Vec<f64> = even.iter().enumerate().map(jitter).collect();
+        let grid = |times: &[f64]| {
+            let (_, log) = noisy("velocities", times, &uneven, 0.5);
+            log.notes.iter().any(|note| note.contains("put on a grid"))
+        };
+        assert!(grid(&uneven), "rows at their stamps");
+        assert!(!grid(&even), "even rows with uneven stamps");
     }
 
     #[test]
