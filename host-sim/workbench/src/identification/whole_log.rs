@@ -307,7 +307,7 @@ mod tests {
         noisy(name, times_s, stamps_s, 0.0)
     }
 
-    /// The same with velocities that are wrong by up to `error`, rad/s.
+    /// Rows of [`stamped`] with velocities that are wrong by up to `error`, rad/s.
     fn noisy(name: &str, times_s: &[f64], stamps_s: &[f64], error: f64) -> (Vec<LogRow>, WholeLog) {
         let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
         let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
