@@ -21,7 +21,7 @@ use crate::commands::Link;
 /// Period of the tick, s.
 const PERIOD: f32 = 1e-3;
 /// Ticks before the first measured call: the motion filter of the learner, 62 ticks long, is full by then.
-const WARM_UP: u32 = 79;
+const WARM_UP: u32 = 78;
 /// Bound of the noise on the measured torque, in units of the torque limit.
 const NOISE: f32 = 0.01;
 
