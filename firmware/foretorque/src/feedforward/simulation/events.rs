@@ -233,6 +233,8 @@ fn m12_a_torque_sensor_of_the_wrong_sign_changes_no_torque() {
         first.map(|decision| decision.reason),
         Some(Reason::Reversed)
     );
+    // It is recorded once, not in every round.
+    assert!(board.learner.state().report.decisions.count() < 50);
 }
 
 #[test]
