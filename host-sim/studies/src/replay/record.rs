@@ -173,11 +173,22 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         "worst 3 s of the newest parameters", report.start
     );
     let decisions = format!("decisions  {}\n", decision_line(&report.decisions));
+    let few = too_few_rows(report.rows_accepted_count, report.ticks_count);
+    let lines = few.into_iter().chain(lines);
     Outcome {
         text: lines.chain([worst, decisions]).collect(),
         page,
         report,
     }
+}
+
+/// First line where the board learnt fewer than one tick in twenty.
+fn too_few_rows(accepted: u32, ticks: u32) -> Option<String> {
+    (u64::from(accepted) * 20 < u64::from(ticks)).then(|| {
+        format!(
+            "the board learnt {accepted} of {ticks} ticks: rows repeat values, or the joints stand still\n"
+        )
+    })
 }
 
 /// Every reason once, in the order of its first time.
@@ -204,5 +215,20 @@ fn decision_line(decisions: &[ReplayDecision]) -> String {
     match entries.len() {
         0 => "none".to_owned(),
         _ => entries.join("; "),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_that_teaches_nothing_is_named() {
+        assert_eq!(too_few_rows(600, 12_000), None);
+        let line = too_few_rows(84, 11_973).expect("too few");
+        assert!(
+            line.starts_with("the board learnt 84 of 11973 ticks"),
+            "{line}"
+        );
     }
 }
