@@ -45,8 +45,8 @@ macro_rules! at_run_time {
 impl<const N: usize, const P: usize> Arm<N, P> for Described<N, P> {
     at_run_time! {
         NAME: &'static str, HASH: u32, GRAVITY: [f32; 3], PLACEMENTS: [Placement; N], COLUMNS: [LinkColumns; N],
-        BASE_MAP: &'static [BaseTerm], LIMITS: [JointLimits; N], COGGING_CYCLES: [f32; N], NOMINAL: [f32; P],
-        LINKS: [[f32; LINK_PARAMETERS]; N], ROTORS: [f32; N]
+        BASE_MAP: &'static [BaseTerm], LIMITS: [JointLimits; N], COGGING_CYCLES: [f32; N],
+        ENCODER_STEP: f32, NOMINAL: [f32; P], LINKS: [[f32; LINK_PARAMETERS]; N], ROTORS: [f32; N]
     }
     const COMPILED: Option<ArmModel<N, P>> = None;
 
@@ -82,6 +82,9 @@ impl<const N: usize, const P: usize> Arm<N, P> for Described<N, P> {
     }
     fn cogging_cycles() -> &'static [f32; N] {
         &Self::model().cogging_cycles
+    }
+    fn encoder_step() -> f32 {
+        Self::model().encoder_step
     }
     fn nominal() -> &'static BaseParameters<P> {
         &Self::model().nominal

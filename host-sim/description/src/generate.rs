@@ -37,6 +37,11 @@ pub fn arm_model<const N: usize, const P: usize>(robot: &Robot) -> Option<ArmMod
         base_map: terms.collect::<Vec<_>>().leak(),
         limits: robot.each(|joint| joint.limits.of_board())?,
         cogging_cycles: robot.each(|joint| joint.friction.cogging_cycles_rev as f32)?,
+        encoder_step: robot
+            .joints
+            .iter()
+            .map(|joint| joint.drive.encoder_step() as f32)
+            .fold(0.0, f32::max),
         nominal,
         // As of the placements: −0 is 0.
         links: robot.each(|joint| joint.link.standard_parameters().map(|x| x as f32 + 0.0))?,
@@ -97,6 +102,7 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>) -> String {
     } else {
         String::new()
     };
+    let step = model.encoder_step;
     let nominal = rows(&model.nominal.as_slice()[..parameters], |value| {
         format!("{value:?}")
     });
@@ -130,7 +136,8 @@ impl Arm<JOINTS, PARAMETERS> for {arm} {{
 {terms}    ];
     const LIMITS: [JointLimits; JOINTS] = [
 {limits}    ];
-{cogging}    const NOMINAL: [f32; PARAMETERS] = [
+{cogging}    const ENCODER_STEP: f32 = {step:?};
+    const NOMINAL: [f32; PARAMETERS] = [
 {nominal}    ];
     const LINKS: [[f32; {LINK_PARAMETERS}]; JOINTS] = [
 {links}    ];

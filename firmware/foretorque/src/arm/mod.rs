@@ -88,6 +88,8 @@ pub trait Arm<const N: usize, const P: usize>: 'static {
     const LIMITS: [JointLimits; N];
     /// Cogging periods of each joint in one of its turns; 0 where the drive has none. No part of [`HASH`](Self::HASH).
     const COGGING_CYCLES: [f32; N] = [0.0; N];
+    /// Step of the coarsest encoder, rad of its joint; 0 if it is too small to matter. No part of [`HASH`](Self::HASH).
+    const ENCODER_STEP: f32 = 0.0;
     /// Base parameters of the description.
     const NOMINAL: [f32; P];
     /// Standard parameters of each link of the description, in its own frame (eq. 14).
@@ -105,6 +107,7 @@ pub trait Arm<const N: usize, const P: usize>: 'static {
         base_map: Self::BASE_MAP,
         limits: Self::LIMITS,
         cogging_cycles: Self::COGGING_CYCLES,
+        encoder_step: Self::ENCODER_STEP,
         nominal: BaseParameters::from_array_storage(ArrayStorage([Self::NOMINAL])),
         links: Self::LINKS,
         rotors: Self::ROTORS,
@@ -158,6 +161,11 @@ pub trait Arm<const N: usize, const P: usize>: 'static {
     #[inline(always)]
     fn cogging_cycles() -> &'static [f32; N] {
         const { &Self::COGGING_CYCLES }
+    }
+    /// [`ENCODER_STEP`](Self::ENCODER_STEP).
+    #[inline(always)]
+    fn encoder_step() -> f32 {
+        Self::ENCODER_STEP
     }
     /// [`NOMINAL`](Self::NOMINAL).
     #[inline(always)]

@@ -32,6 +32,8 @@ pub struct ArmModel<const N: usize, const P: usize> {
     pub limits: [JointLimits; N],
     /// Cogging periods of each joint in one of its turns; 0 where the drive has none.
     pub cogging_cycles: [f32; N],
+    /// Step of the coarsest encoder, rad of its joint.
+    pub encoder_step: f32,
     /// Base parameters of the description; zero beyond [`BaseIndex::count`].
     pub nominal: BaseParameters<P>,
     /// Standard parameters of each link.

@@ -178,6 +178,7 @@ impl Arm<JOINTS, PARAMETERS> for Panda {
         JointLimits { position: (-0.0175, 3.7525), velocity: 2.61, torque: 12.0 },
         JointLimits { position: (-2.8973, 2.8973), velocity: 2.61, torque: 12.0 },
     ];
+    const ENCODER_STEP: f32 = 4.79369e-5;
     const NOMINAL: [f32; PARAMETERS] = [
         0.03733745,
         -0.0020319945,

@@ -157,6 +157,7 @@ impl Arm<JOINTS, PARAMETERS> for Ur5 {
         JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
     ];
     const COGGING_CYCLES: [f32; JOINTS] = [202.0, 202.0, 202.0, 202.0, 202.0, 202.0];
+    const ENCODER_STEP: f32 = 4.79369e-5;
     const NOMINAL: [f32; PARAMETERS] = [
         3.3960273,
         -3.866395,

@@ -1,3 +1,4 @@
+use super::conditioning::TAPS;
 use super::error::{ConfigError, check_positive};
 use super::parameters::LinearParameters;
 use super::prior_covariance::rigid_sigma;
@@ -11,6 +12,11 @@ const FRICTION_CHANGE_S: f32 = 6e4;
 
 /// Length of a sample of the motion filter, s.
 const SAMPLE_S: f32 = 2e-3;
+/// Least speed of a joint whose rows are used, rad/s.
+const VELOCITY_GATE: f32 = 0.05;
+/// Steps of the encoder within the motion filter at that speed: they err a velocity by at most 1.5 steps a filter length, so
+/// by 3/8 of it.
+const GATE_STEPS: f32 = 4.0;
 
 /// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,8 +31,9 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     /// 6 joints. The measured correlation is no measure of it: errors of the estimate are correlated, too. They would
     /// count as noise where the prior is too narrow, slow the estimate down, and so last.
     pub noise_inflation: f32,
-    /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long, but no more than
-    /// there are joints, so that no joint uses a sample twice.
+    /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long; longer ones for
+    /// an encoder that moves less than four steps in that time at the velocity gate. No more than there are joints, so that
+    /// no joint uses a sample twice.
     pub decimation: u32,
     /// Time over which residuals are correlated at most, s: tenths of a second on real arms. Length of a block of rows that
     /// counts as one observation.
@@ -67,7 +74,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             noise: 0.01,
             outlier_sigmas: 3.0,
             noise_inflation: 3.0,
-            decimation: ((SAMPLE_S / period_s + 0.5) as u32).clamp(1, N as u32),
+            decimation: sample_ticks(period_s, A::encoder_step()).clamp(1, N as u32),
             correlation_s: 0.5,
             process_noise: N as f32 * period_s / FRICTION_CHANGE_S,
             torque_step: 0.005,
@@ -76,7 +83,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
                 friction: table!(A, friction_sigma),
                 rigid: table!(A, rigid_sigma),
             },
-            velocity_gate: 0.05,
+            velocity_gate: VELOCITY_GATE,
             acceleration_limit: 100.0,
             network: TrainerConfig {
                 output_sigma: 0.02,
@@ -127,6 +134,17 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     }
 }
 
+/// Ticks of a sample of the motion filter for an encoder of the step `encoder_step`, rad.
+fn sample_ticks(period_s: f32, encoder_step: f32) -> u32 {
+    let resolved_s = GATE_STEPS / (VELOCITY_GATE * TAPS as f32) * encoder_step;
+    let sample_s = if resolved_s > SAMPLE_S {
+        resolved_s
+    } else {
+        SAMPLE_S
+    };
+    (sample_s / period_s + 0.5) as u32
+}
+
 const fn friction_sigma<const N: usize, const P: usize>(
     arm: &ArmModel<N, P>,
 ) -> [[f32; FRICTION_COLUMNS]; N] {
@@ -137,4 +155,18 @@ const fn friction_sigma<const N: usize, const P: usize>(
         joint += 1;
     }
     sigma
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_coarse_encoder_makes_the_motion_filter_longer() {
+        let ticks =
+            |period_s, bits| sample_ticks(period_s, core::f32::consts::TAU / 2_f32.powi(bits));
+        assert_eq!([17, 13, 12, 11].map(|bits| ticks(1e-3, bits)), [2, 2, 4, 8]);
+        assert_eq!([17, 12].map(|bits| ticks(5e-4, bits)), [4, 8]);
+        assert_eq!(sample_ticks(1e-3, 0.0), 2);
+    }
 }

@@ -18,6 +18,7 @@ pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 use foretorque::arm::JointLimits;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// Number of standard inertial parameters of a link, in the order of eq. 14.
 pub const LINK_PARAMETERS: usize = 10;
@@ -48,6 +49,13 @@ pub struct Drive {
     pub gain: f64,
     /// Resolution of the joint encoder, bits a revolution.
     pub encoder_bits: u32,
+}
+
+impl Drive {
+    /// Step of the joint encoder, rad.
+    pub fn encoder_step(&self) -> f64 {
+        TAU / f64::from(self.encoder_bits).exp2()
+    }
 }
 
 /// True friction of one joint, as the simulated plant has it.
