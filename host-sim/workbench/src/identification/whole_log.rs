@@ -76,6 +76,14 @@ impl WholeLog {
         }
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let period_s = median(&mut steps);
+        let times = repeats(&first);
+        if times > 1.0 {
+            reader.notes.push(format!(
+                "{}: every value stands in {times} rows: the sensors were read at {:.0} Hz; leave one row of {times}",
+                path.display(),
+                1.0 / (times * period_s)
+            ));
+        }
         let clock = clock(&first, period_s, reader.has_velocity());
         let mut log = Self {
             notes: reader.notes.clone(),
@@ -291,6 +299,12 @@ fn between(a: &LogRow, b: &LogRow, part: f64, has_velocity: bool) -> LogRow {
     }
 }
 
+/// Rows in which a value of a moving arm stands, median.
+fn repeats(rows: &[LogRow]) -> f64 {
+    let equal = rows.chunk_by(|a, b| (a.q, a.tau) == (b.q, b.tau));
+    median(&mut equal.map(|rows| rows.len() as f64).collect::<Vec<_>>())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -381,6 +395,25 @@ mod tests {
         };
         assert!(grid(&uneven), "rows at their stamps");
         assert!(!grid(&even), "even rows with uneven stamps");
+    }
+
+    #[test]
+    fn rows_that_repeat_their_values_are_named() {
+        let stamps: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(k)).collect();
+        let note = |read: &dyn Fn(i32) -> i32| {
+            let times: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(read(k))).collect();
+            let (_, log) = stamped("repeated", &times, &stamps);
+            log.notes
+                .into_iter()
+                .find(|note| note.contains("stands in"))
+        };
+        let repeated = note(&|k| k / 4 * 4).expect("a note");
+        assert!(
+            repeated.contains("in 4 rows: the sensors were read at 100 Hz; leave one row of 4"),
+            "{repeated}"
+        );
+        assert_eq!(note(&|k| k), None);
+        assert_eq!(note(&|k| k.max(200)), None, "an arm that rests first");
     }
 
     #[test]
