@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 /// The friction columns of the reference.
 pub(super) const RICH: &str = "coulomb-viscous+offset+stribeck+sqrt+load";
 
-/// Columns of the reference where the logs do not show the rich ones.
-const SIMPLE: [&str; 3] = [RICH, "coulomb-viscous+offset", PLAIN];
 /// The friction columns of the plain reference.
 const PLAIN: &str = "coulomb-viscous";
+/// Columns of the reference where the logs do not show the rich ones.
+const SIMPLER: [&str; 3] = [RICH, "coulomb-viscous+offset", PLAIN];
 
 /// A path: its name, and the logs that show it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -64,12 +64,13 @@ pub(super) struct Logs<const N: usize> {
     pub(super) stretches: Vec<Stretch<N>>,
     /// Time between two rows, s: that of the first log.
     pub(super) period_s: f64,
-    /// Columns of the reference.
-    pub(super) columns: &'static str,
+    /// The reference.
+    pub(super) reference: String,
     pub(super) notes: Vec<String>,
 }
 
-/// All logs, with batch least squares on the other paths, or on the path itself where there is no other.
+/// All logs, with batch least squares on the other paths, or on the path itself where there is no other. Where these do not
+/// show the arm's parameters, those of its description stand in, without friction.
 ///
 /// Errors: a log is missing or damaged; an identification fails; logs of different rates.
 pub(super) fn read<const N: usize>(
@@ -93,7 +94,7 @@ pub(super) fn read<const N: usize>(
         }
     }
     let period_s = period_s.ok_or_else(|| StudyError::Unusable("no log".to_owned()))?;
-    let (mut columns, prepare) = (RICH, filters(period_s));
+    let prepare = filters(period_s);
     let training = |number: usize| -> Vec<PathBuf> {
         let others = paths.iter().enumerate();
         let others = others.filter(|(other, _)| *other != number || paths.len() == 1);
@@ -101,48 +102,71 @@ pub(super) fn read<const N: usize>(
             .flat_map(|(_, path)| path.files.iter().cloned())
             .collect()
     };
-    for text in SIMPLE {
-        columns = text;
-        let (training, held_out) = (training(0), &paths[0].files[..1]);
-        match batch(robot, (&training, held_out), columns, prepare, seed) {
-            Err(StudyError::Identify(IdentifyError::RankDeficient(..))) if text != PLAIN => {
-                notes.push(format!("the logs do not show all columns of {text}"));
-            }
-            other => {
-                drop(other?);
+    // Parameters for every path; none if the logs do not show them.
+    let fits = |text: &str| -> Result<Option<Vec<Vec<f64>>>, StudyError> {
+        let fit = |(number, path): (usize, &ReplayPath)| {
+            progress("path held out", number, paths.len());
+            let held_out = &path.files[..1];
+            batch(robot, (&training(number), held_out), text, prepare, seed)
+        };
+        match paths.iter().enumerate().map(fit).collect() {
+            Err(StudyError::Identify(IdentifyError::RankDeficient(..))) => Ok(None),
+            fitted => fitted.map(Some),
+        }
+    };
+    let (mut rich, mut missing) = (None, Vec::new());
+    for text in SIMPLER {
+        match fits(text)? {
+            Some(fitted) => {
+                rich = Some((text, fitted));
                 break;
             }
+            None => missing.push(format!("the logs do not show all columns of {text}")),
         }
     }
+    let (reference, references) = match rich {
+        Some((text, fitted)) => {
+            let plain = fits(PLAIN)?.unwrap_or_else(|| fitted.clone());
+            let others = if paths.len() == 1 {
+                "the same path"
+            } else {
+                "other paths"
+            };
+            let reference = format!("wls, {text}, {others}");
+            (reference, [(PLAIN, plain), (text, fitted)])
+        }
+        None => {
+            let layout = Layout::new(robot, &columns(PLAIN)?);
+            let mut described = robot.base_parameters();
+            described.resize(layout.parameters.len(), 0.0);
+            let described = (PLAIN, vec![described; paths.len()]);
+            let reference = "the description without friction";
+            (reference.to_owned(), [described.clone(), described])
+        }
+    };
     let mut stretches = Vec::new();
     for (number, path) in paths.iter().enumerate() {
-        progress("path held out", number, paths.len());
         let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
         let mut prepared = Vec::new();
-        for (text, found) in [PLAIN, columns].iter().zip(&mut found) {
-            let layout = Layout::new(robot, &crate::real_ur5::columns(text)?);
-            let theta = batch(
-                robot,
-                (&training(number), &path.files[..1]),
-                text,
-                prepare,
-                seed,
-            )?;
+        for ((text, thetas), found) in references.iter().zip(&mut found) {
+            let layout = Layout::new(robot, &columns(text)?);
             prepared.clear();
-            notes.clear();
+            let mut own = Vec::new();
             for file in &path.files {
                 for_each_prepared(
                     file,
                     robot,
                     &layout,
                     &prepare,
-                    &mut notes,
+                    &mut own,
                     &mut |preparation, stretch| {
-                        found.push(predictions(&layout, &theta, &stretch));
+                        found.push(predictions(&layout, &thetas[number], &stretch));
                         prepared.push((file.clone(), preparation.clone(), stretch));
                     },
                 )?;
             }
+            own.retain(|note| !notes.contains(note));
+            notes.extend(own);
         }
         for (k, (file, preparation, stretch)) in prepared.into_iter().enumerate() {
             let raw = raw_rows(&file, robot)?;
@@ -164,10 +188,11 @@ pub(super) fn read<const N: usize>(
             });
         }
     }
+    notes.extend(missing);
     Ok(Logs {
         stretches,
         period_s,
-        columns,
+        reference,
         notes,
     })
 }

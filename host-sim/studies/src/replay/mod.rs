@@ -272,10 +272,6 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
     let (ticks, clipped) = (board.ticks, board.clipped);
     let rows_accepted = board.learner.state().statistics.accepted;
     let decisions = board.decisions.clone();
-    let reference = match paths.len() {
-        1 => format!("wls, {}, the same path", logs.columns),
-        _ => format!("wls, {}, other paths", logs.columns),
-    };
     let paths: Vec<PathScores> = paths
         .iter()
         .zip(&scores)
@@ -292,7 +288,7 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
         start: named.to_owned(),
         notes: logs.notes,
         period_s,
-        reference,
+        reference: logs.reference,
         worst_window_over_start_ratio: scores
             .iter()
             .filter_map(|scores| scores.worst_window)

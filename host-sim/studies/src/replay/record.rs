@@ -115,7 +115,7 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         ),
     ];
     let lead = format!(
-        "Error over that of batch least squares ({}), joints that move faster than 0.05 rad/s, filtered torque.",
+        "Error over that of the reference ({}), joints that move faster than 0.05 rad/s, filtered torque.",
         report.reference
     );
     let page = Page::new(
