@@ -1,7 +1,6 @@
 //! Logs of real arms as ROS 2 bags, identified from and replayed as they are; and MCAP beside CSV: every tick, the same
 //! numbers, read back by this program and, where it is installed, by another reader.
 
-use crate::logged::log;
 use crate::program::{directory, host_sim, json, number, succeeds};
 use std::process::Command;
 
@@ -55,18 +54,6 @@ fn a_bag_is_replayed_to_the_board() {
     assert!((10e3..12.4e3).contains(&ticks), "{ticks}");
     assert!(number(&report["newest_vs_rich_wls_ratio"]) > 0.0);
     assert!(number(&report["frozen_vs_rich_wls_ratio"]) > 1.0);
-}
-
-#[test]
-fn a_log_in_which_a_joint_rests_is_replayed_against_the_description() {
-    let here = directory("replay-still");
-    log(&here.join("still.csv"), 4000, 0.0, Some(5), 0.1);
-    let stdout = succeeds(&here, "replay --robot ur5 --log still.csv --out out");
-    assert!(stdout.contains("× the description"), "{stdout}");
-    let report = json(here.join("out/report.json"));
-    assert!((number(&report["frozen_vs_rich_wls_ratio"]) - 1.0).abs() < 0.05);
-    let notes = report["notes"].to_string();
-    assert!(notes.contains("do not show all columns"), "{notes}");
 }
 
 /// Compares FILE.mcap with FILE.csv column by column: prints the number of rows and of topics.

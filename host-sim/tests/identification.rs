@@ -1,7 +1,7 @@
 //! The command `identify` as a user runs it: parameters of a known arm, one line for each defect of a log.
 
 use crate::logged::{identified, identify, log};
-use crate::program::{directory, failure, host_sim, number, succeeds, text, write};
+use crate::program::{directory, failure, host_sim, json, number, succeeds, text, write};
 use foretorque_workbench::robot::Robot;
 use std::path::Path;
 
@@ -92,7 +92,7 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
 }
 
 #[test]
-fn a_joint_that_stands_still_is_named_by_its_unseen_parameters() {
+fn a_joint_that_stands_still_is_named_by_its_unseen_parameters_and_the_others_are_learnt() {
     let here = directory("identify-still");
     log(&here.join("still.csv"), 2000, 0.0, Some(5), 0.1);
     let message = failure("still", &identify(&here, "--log still.csv --out out"));
@@ -100,6 +100,20 @@ fn a_joint_that_stands_still_is_named_by_its_unseen_parameters() {
         assert!(message.contains(name), "{message}");
     }
     assert!(!message.contains("Fv1"), "{message}");
+    // The board learns the others: the reference is the description.
+    let stdout = succeeds(&here, "replay --robot ur5 --log still.csv --out replayed");
+    assert!(
+        stdout.contains("1.000 × the description without friction"),
+        "{stdout}"
+    );
+    let report = json(here.join("replayed/report.json"));
+    assert!(number(&report["newest_vs_rich_wls_ratio"]) < 0.5);
+    assert!(report["plain_wls_vs_rich_wls_ratio"].is_null());
+    let notes = report["notes"].to_string();
+    assert!(
+        notes.contains("do not show all columns of coulomb-viscous\""),
+        "{notes}"
+    );
 }
 
 #[test]

@@ -14,8 +14,8 @@ const FRICTION_CHANGE_S: f32 = 6e4;
 const SAMPLE_S: f32 = 2e-3;
 /// Least speed of a joint whose rows are used, rad/s.
 const VELOCITY_GATE: f32 = 0.05;
-/// Steps of the encoder within the motion filter at that speed: they err a velocity by at most 1.5 steps a filter length, so
-/// by 3/8 of it.
+/// Least steps of an encoder within the motion filter at that speed. Rounding errs the fitted velocity by at most 1.5 steps
+/// a filter length: 3/8 of that speed.
 const GATE_STEPS: f32 = 4.0;
 
 /// Configuration of the learner.
@@ -32,7 +32,7 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     /// count as noise where the prior is too narrow, slow the estimate down, and so last.
     pub noise_inflation: f32,
     /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long; longer ones for
-    /// an encoder that moves less than four steps in that time at the velocity gate. No more than there are joints, so that
+    /// an encoder with less than four steps in that time at 0.05 rad/s. No more than there are joints, so that
     /// no joint uses a sample twice.
     pub decimation: u32,
     /// Time over which residuals are correlated at most, s: tenths of a second on real arms. Length of a block of rows that
@@ -137,12 +137,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
 /// Ticks of a sample of the motion filter for an encoder of the step `encoder_step`, rad.
 fn sample_ticks(period_s: f32, encoder_step: f32) -> u32 {
     let resolved_s = GATE_STEPS / (VELOCITY_GATE * TAPS as f32) * encoder_step;
-    let sample_s = if resolved_s > SAMPLE_S {
-        resolved_s
-    } else {
-        SAMPLE_S
-    };
-    (sample_s / period_s + 0.5) as u32
+    (resolved_s.max(SAMPLE_S) / period_s + 0.5) as u32
 }
 
 const fn friction_sigma<const N: usize, const P: usize>(

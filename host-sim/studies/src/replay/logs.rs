@@ -17,8 +17,8 @@ pub(super) const RICH: &str = "coulomb-viscous+offset+stribeck+sqrt+load";
 
 /// The friction columns of the plain reference.
 const PLAIN: &str = "coulomb-viscous";
-/// Columns of the reference where the logs do not show the rich ones.
-const SIMPLER: [&str; 3] = [RICH, "coulomb-viscous+offset", PLAIN];
+/// Columns of the reference, the first that the logs show.
+const COLUMNS: [&str; 3] = [RICH, "coulomb-viscous+offset", PLAIN];
 
 /// A path: its name, and the logs that show it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -64,8 +64,8 @@ pub(super) struct Logs<const N: usize> {
     pub(super) stretches: Vec<Stretch<N>>,
     /// Time between two rows, s: that of the first log.
     pub(super) period_s: f64,
-    /// The reference.
-    pub(super) reference: String,
+    /// Columns of the reference; none if it is the description.
+    pub(super) columns: Option<&'static str>,
     pub(super) notes: Vec<String>,
 }
 
@@ -95,55 +95,11 @@ pub(super) fn read<const N: usize>(
     }
     let period_s = period_s.ok_or_else(|| StudyError::Unusable("no log".to_owned()))?;
     let prepare = filters(period_s);
-    let training = |number: usize| -> Vec<PathBuf> {
-        let others = paths.iter().enumerate();
-        let others = others.filter(|(other, _)| *other != number || paths.len() == 1);
-        others
-            .flat_map(|(_, path)| path.files.iter().cloned())
-            .collect()
-    };
-    // Parameters for every path; none if the logs do not show them.
-    let fits = |text: &str| -> Result<Option<Vec<Vec<f64>>>, StudyError> {
-        let fit = |(number, path): (usize, &ReplayPath)| {
-            progress("path held out", number, paths.len());
-            let held_out = &path.files[..1];
-            batch(robot, (&training(number), held_out), text, prepare, seed)
-        };
-        match paths.iter().enumerate().map(fit).collect() {
-            Err(StudyError::Identify(IdentifyError::RankDeficient(..))) => Ok(None),
-            fitted => fitted.map(Some),
-        }
-    };
-    let (mut rich, mut missing) = (None, Vec::new());
-    for text in SIMPLER {
-        match fits(text)? {
-            Some(fitted) => {
-                rich = Some((text, fitted));
-                break;
-            }
-            None => missing.push(format!("the logs do not show all columns of {text}")),
-        }
-    }
-    let (reference, references) = match rich {
-        Some((text, fitted)) => {
-            let plain = fits(PLAIN)?.unwrap_or_else(|| fitted.clone());
-            let others = if paths.len() == 1 {
-                "the same path"
-            } else {
-                "other paths"
-            };
-            let reference = format!("wls, {text}, {others}");
-            (reference, [(PLAIN, plain), (text, fitted)])
-        }
-        None => {
-            let layout = Layout::new(robot, &columns(PLAIN)?);
-            let mut described = robot.base_parameters();
-            described.resize(layout.parameters.len(), 0.0);
-            let described = (PLAIN, vec![described; paths.len()]);
-            let reference = "the description without friction";
-            (reference.to_owned(), [described.clone(), described])
-        }
-    };
+    let (columns_found, references) = references(paths, robot, (prepare, seed), progress)?;
+    let missing = COLUMNS
+        .iter()
+        .take_while(|text| Some(**text) != columns_found);
+    notes.extend(missing.map(|text| format!("the logs do not show all columns of {text}")));
     let mut stretches = Vec::new();
     for (number, path) in paths.iter().enumerate() {
         let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
@@ -188,13 +144,55 @@ pub(super) fn read<const N: usize>(
             });
         }
     }
-    notes.extend(missing);
     Ok(Logs {
         stretches,
         period_s,
-        reference,
+        columns: columns_found,
         notes,
     })
+}
+
+/// Friction columns, and their parameters for every path.
+type Reference = (&'static str, Vec<Vec<f64>>);
+
+/// The plain and the rich reference, and the columns of the latter; none if both are the description.
+fn references(
+    paths: &[ReplayPath],
+    robot: &Robot,
+    (prepare, seed): (PrepareConfig, u64),
+    progress: Progress<'_>,
+) -> Result<(Option<&'static str>, [Reference; 2]), StudyError> {
+    let fit = |text: &str, number: usize| {
+        progress("path held out", number, paths.len());
+        let others = paths.iter().enumerate();
+        let others = others.filter(|(other, _)| *other != number || paths.len() == 1);
+        let training: Vec<PathBuf> = others.flat_map(|(_, path)| path.files.clone()).collect();
+        batch(
+            robot,
+            (&training, &paths[number].files[..1]),
+            text,
+            prepare,
+            seed,
+        )
+    };
+    // None if the logs do not show the parameters.
+    let fits = |text: &str| -> Result<Option<Vec<Vec<f64>>>, StudyError> {
+        match (0..paths.len()).map(|number| fit(text, number)).collect() {
+            Err(StudyError::Identify(IdentifyError::RankDeficient(..))) => Ok(None),
+            fitted => fitted.map(Some),
+        }
+    };
+    for text in COLUMNS {
+        if let Some(rich) = fits(text)? {
+            let plain = if text == PLAIN { None } else { fits(PLAIN)? };
+            let plain = plain.unwrap_or_else(|| rich.clone());
+            return Ok((Some(text), [(PLAIN, plain), (text, rich)]));
+        }
+    }
+    let mut described = robot.base_parameters();
+    described.resize(Layout::new(robot, &columns(PLAIN)?).parameters.len(), 0.0);
+    let described = (PLAIN, vec![described; paths.len()]);
+    Ok((None, [described.clone(), described]))
 }
 
 /// Weighted least squares over the training logs: one value a parameter.

@@ -272,6 +272,15 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
     let (ticks, clipped) = (board.ticks, board.clipped);
     let rows_accepted = board.learner.state().statistics.accepted;
     let decisions = board.decisions.clone();
+    let others = match paths.len() {
+        1 => "the same path",
+        _ => "other paths",
+    };
+    let reference = match logs.columns {
+        Some(columns) => format!("wls, {columns}, {others}"),
+        None => "the description without friction".to_owned(),
+    };
+    let fitted = logs.columns.is_some();
     let paths: Vec<PathScores> = paths
         .iter()
         .zip(&scores)
@@ -288,7 +297,7 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
         start: named.to_owned(),
         notes: logs.notes,
         period_s,
-        reference: logs.reference,
+        reference,
         worst_window_over_start_ratio: scores
             .iter()
             .filter_map(|scores| scores.worst_window)
@@ -297,8 +306,8 @@ fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
         aged_10_s_vs_rich_wls_ratio: mean(&|s| s.aged.over(&s.rich_aged)),
         aged_10_s_after_other_paths_vs_rich_wls_ratio: after_others,
         frozen_vs_rich_wls_ratio: mean(&|s| s.frozen.over(&s.rich)),
-        plain_wls_vs_rich_wls_ratio: mean(&|s| s.plain.over(&s.rich)),
-        aged_10_s_vs_plain_wls_ratio: mean(&|s| s.aged.over(&s.plain_aged)),
+        plain_wls_vs_rich_wls_ratio: fitted.then(|| mean(&|s| s.plain.over(&s.rich))),
+        aged_10_s_vs_plain_wls_ratio: fitted.then(|| mean(&|s| s.aged.over(&s.plain_aged))),
         within_1_1_worst_s: within
             .iter()
             .copied()

@@ -56,7 +56,7 @@ pub struct ReplayReport {
     pub notes: Vec<String>,
     /// Period of the rows of every log, s.
     pub period_s: f64,
-    /// The reference.
+    /// The reference: batch least squares, or the description without friction where the logs show too little for it.
     pub reference: String,
     /// Geometric means over joints and paths of error over the reference's, moving rows: newest, 10 s old, the start frozen.
     pub newest_vs_rich_wls_ratio: f64,
@@ -67,10 +67,10 @@ pub struct ReplayReport {
     pub aged_10_s_after_other_paths_vs_rich_wls_ratio: Option<f64>,
     /// See above.
     pub frozen_vs_rich_wls_ratio: f64,
-    /// Plain batch least squares over the reference.
-    pub plain_wls_vs_rich_wls_ratio: f64,
-    /// The aged parameters over plain batch least squares.
-    pub aged_10_s_vs_plain_wls_ratio: f64,
+    /// Plain batch least squares over the reference; none if that is the description.
+    pub plain_wls_vs_rich_wls_ratio: Option<f64>,
+    /// The aged parameters over plain batch least squares; none likewise.
+    pub aged_10_s_vs_plain_wls_ratio: Option<f64>,
     /// Largest error of the newest parameters over that of the start in any 3 s of any path.
     pub worst_window_over_start_ratio: Option<f64>,
     /// The longest of the paths' times to 1.1, s.
@@ -110,7 +110,7 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         ),
         (Some(report.frozen_vs_rich_wls_ratio), "start, frozen"),
         (
-            Some(report.plain_wls_vs_rich_wls_ratio),
+            report.plain_wls_vs_rich_wls_ratio,
             "batch least squares, Coulomb and viscous friction only",
         ),
     ];

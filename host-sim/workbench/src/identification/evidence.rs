@@ -10,9 +10,10 @@
 //! g_k ← d_kᵀ C_k⁻¹ d_k / γ_k,        γ_k = n_k − tr(C_k⁻¹ P_kk) / g_k,   P = (A + Λ)⁻¹
 //! ```
 
-use super::columns::{FrictionTerm, Layout};
+use super::columns::Layout;
 use super::methods::Fit;
 use super::normal::{NormalEquations, solve};
+use super::terms::FrictionTerm;
 use crate::robot::Robot;
 use foretorque::dynamics::FrictionColumn;
 use nalgebra::{DMatrix, DVector};

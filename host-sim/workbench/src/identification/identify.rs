@@ -2,7 +2,7 @@
 
 use super::IdentifyError;
 use super::cogging::CoggingAmplitudes;
-use super::columns::{ColumnSet, Layout};
+use super::columns::Layout;
 use super::dataset::Dataset;
 use super::fourier::folded;
 use super::gains::with_gains;
@@ -15,6 +15,7 @@ use super::solve::solve_all;
 use super::stream::for_each_prepared;
 use super::study::truths;
 use super::study::{Study, key_of, recommended};
+use super::terms::ColumnSet;
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;

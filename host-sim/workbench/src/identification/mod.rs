@@ -3,6 +3,7 @@
 //! `problem` holds the nouns. `log` (rows, checked) → `filter` and `prepare` (motion, regressor and torque through the same
 //! zero-phase filter) → `normal` (one pass over any number of rows, bounded memory) → `methods` → `validation` → `record`.
 
+mod clock;
 mod cogging;
 mod columns;
 mod consistent;
@@ -27,12 +28,13 @@ mod residual;
 mod solve;
 mod stream;
 mod study;
+mod terms;
 mod uncertainty;
 mod validation;
 mod whole_log;
 
 pub use cogging::CoggingAmplitudes;
-pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
+pub use columns::{Layout, Parameter};
 pub use dataset::SampleRow;
 pub use filter::{Butterworth, despiked};
 pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify};
@@ -47,6 +49,7 @@ pub use record::{
 };
 pub use solve::fit_rows;
 pub use stream::for_each_prepared;
+pub use terms::{ColumnSet, FrictionTerm};
 pub use whole_log::WholeLog;
 
 use crate::Refusal;

@@ -1,9 +1,10 @@
 //! Logs as a stream: one thread reads, all cores prepare, and stretches come out in the order of the log.
 
+use super::clock::GAP_PERIODS;
 use super::columns::Layout;
 use super::log::LogRow;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch};
-use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::whole_log::WholeLog;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use crate::table::TableError;

@@ -1,7 +1,7 @@
 //! All methods side by side on the same logs, and their errors against known true parameters.
 
 use super::IdentifyError;
-use super::columns::{FrictionTerm, Layout};
+use super::columns::Layout;
 use super::consistent::consistent;
 use super::dataset::{Dataset, SampleRow};
 use super::evidence::evidence;
@@ -11,6 +11,7 @@ use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
 use super::record::{MethodRecord, RIVALS, Unseen, ValidationRecord, base_error};
 use super::stream::for_each_prepared;
+use super::terms::FrictionTerm;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, Trace};
 use super::validation::{errors, learning_curves, split};

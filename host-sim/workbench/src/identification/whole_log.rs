@@ -1,5 +1,6 @@
 //! A log with its lost rows put in: filters and derivatives need rows that are equally far apart.
 
+use super::clock::{Clock, GAP_PERIODS, clock, repeats};
 use super::filter::median;
 use super::log::{LogReader, LogRow};
 use crate::dynamics::PerJoint;
@@ -10,26 +11,6 @@ use std::path::Path;
 
 /// Rows from which the period and the sources of motion are found.
 const PREVIEW: usize = 4096;
-/// A step in time of more than this many periods cuts the log; rows lost in a shorter one are put in.
-pub(super) const GAP_PERIODS: f64 = 5.0;
-/// A log with steps shorter than this many periods was timed on arrival: a long step before such a short one was a delay,
-/// not a loss.
-const ARRIVAL_PERIODS: f64 = 0.5;
-
-/// Largest jitter of a clock that counts as even, RMS, share of a period.
-const EVEN: f64 = 0.05;
-
-/// Use of the stamps of a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Clock {
-    /// Rows are evenly spaced, but for lost ones.
-    Even,
-    /// Rows are evenly spaced, stamped on arrival.
-    Arrival,
-    /// Rows were taken at their uneven stamps.
-    Stamps,
-}
-
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
 /// Rows with an uneven clock are put on an even grid in the same way.
@@ -77,11 +58,11 @@ impl WholeLog {
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
         let period_s = median(&mut steps);
         let times = repeats(&first);
-        if times > 1.0 {
+        if times > 1 {
             reader.notes.push(format!(
-                "{}: every value stands in {times} rows: the sensors were read at {:.0} Hz; leave one row of {times}",
+                "{}: values repeat in {times} rows: the sensors were read at {:.0} Hz; keep one row of {times}",
                 path.display(),
-                1.0 / (times * period_s)
+                1.0 / (times as f64 * period_s)
             ));
         }
         let clock = clock(&first, period_s, reader.has_velocity());
@@ -208,52 +189,6 @@ impl WholeLog {
     }
 }
 
-/// The clock of a log, from its first rows. Where steps are uneven and the log has velocities, these decide: stamps are
-/// true where dq = q̇ dt holds better with them than with even steps.
-fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
-    let (mut jitter, mut count, mut shortest) = (0.0, 0.0, f64::INFINITY);
-    // Steps that scatter about two lengths have their median at the edge of the shorter.
-    let steps = rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
-    let whole = |step_s: f64| (step_s / period_s).round().max(1.0);
-    let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * period_s);
-    let sums = short.map(|step_s| (step_s, whole(step_s)));
-    let (time_s, periods) = sums.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
-    let period_s = if periods > 0.0 {
-        time_s / periods
-    } else {
-        period_s
-    };
-    // Squared errors of dq by the stamps and by even steps, and squared differences between both. Errors of the velocities
-    // are in both: if the stamps are true, `by_steps − by_stamps` is `apart`; if the steps are even, it is `−apart`.
-    let (mut by_stamps, mut by_steps, mut apart) = (0.0, 0.0, 0.0);
-    for pair in rows.windows(2) {
-        let step_s = pair[1].t_s - pair[0].t_s;
-        let periods = step_s / period_s;
-        shortest = periods.min(shortest);
-        if periods > GAP_PERIODS {
-            continue;
-        }
-        let whole = periods.round().max(1.0);
-        jitter += (periods - whole).powi(2);
-        count += 1.0;
-        for joint in 0..pair[0].q.len() {
-            let qd = 0.5 * (pair[0].qd[joint] + pair[1].qd[joint]);
-            let dq = pair[1].q[joint] - pair[0].q[joint];
-            by_stamps += (dq - qd * step_s).powi(2);
-            by_steps += (dq - qd * whole * period_s).powi(2);
-            apart += (qd * (step_s - whole * period_s)).powi(2);
-        }
-    }
-    let on_arrival = shortest < ARRIVAL_PERIODS;
-    let uneven = (jitter / f64::max(count, 1.0)).sqrt() > EVEN;
-    match (uneven, has_velocity, on_arrival) {
-        (true, true, _) if by_steps - by_stamps > 0.5 * apart => Clock::Stamps,
-        (true, false, false) => Clock::Stamps,
-        (_, _, true) => Clock::Arrival,
-        _ => Clock::Even,
-    }
-}
-
 /// Velocities at `here` by the parabola through it and its neighbours; by a straight line where one is missing.
 fn slopes(before: Option<&LogRow>, here: &LogRow, after: Option<&LogRow>) -> PerJoint<f64> {
     let slope = |a: &LogRow, b: &LogRow, j: usize| (b.q[j] - a.q[j]) / (b.t_s - a.t_s);
@@ -297,12 +232,6 @@ fn between(a: &LogRow, b: &LogRow, part: f64, has_velocity: bool) -> LogRow {
         qdd: line(&a.qdd, &b.qdd),
         tau: line(&a.tau, &b.tau),
     }
-}
-
-/// Rows in which a value of a moving arm stands, median.
-fn repeats(rows: &[LogRow]) -> f64 {
-    let equal = rows.chunk_by(|a, b| (a.q, a.tau) == (b.q, b.tau));
-    median(&mut equal.map(|rows| rows.len() as f64).collect::<Vec<_>>())
 }
 
 #[cfg(test)]
@@ -405,11 +334,13 @@ mod tests {
             let (_, log) = stamped("repeated", &times, &stamps);
             log.notes
                 .into_iter()
-                .find(|note| note.contains("stands in"))
+                .find(|note| note.contains("values repeat"))
         };
         let repeated = note(&|k| k / 4 * 4).expect("a note");
         assert!(
-            repeated.contains("in 4 rows: the sensors were read at 100 Hz; leave one row of 4"),
+            repeated.contains(
+                "values repeat in 4 rows: the sensors were read at 100 Hz; keep one row of 4"
+            ),
             "{repeated}"
         );
         assert_eq!(note(&|k| k), None);

@@ -17,7 +17,6 @@ use friction::{FrictionModel, FrictionState, Gear, solved};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use std::f64::consts::TAU;
 
 /// Plant properties that are not in the robot's description.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,7 +102,6 @@ impl<const N: usize> Plant<N> {
         let (effects, random) = (&config.effects, &mut stream(2));
         let drives = DriveErrors::new(effects, config.drive_gain, &torque_limit, random);
         let elastic = effects.twist_mrad > 0.0;
-        let counts = |bits: u32| f64::from(bits).exp2() / TAU;
         Some(Self {
             model: unloaded.clone(),
             unloaded,
@@ -117,7 +115,7 @@ impl<const N: usize> Plant<N> {
                 false => None,
             },
             torque_limit,
-            counts: Joints::from(robot.each(|joint| counts(joint.drive.encoder_bits))?),
+            counts: Joints::from(robot.each(|joint| 1.0 / joint.drive.encoder_step())?),
             config,
             random: ChaCha8Rng::seed_from_u64(seed),
             faults: ReportFaults::NONE,

@@ -3,6 +3,7 @@
 use super::*;
 use crate::robot::Perturbation;
 use crate::trajectory::Trajectory;
+use std::f64::consts::TAU;
 
 fn quiet(step_rate_hz: f64) -> PlantConfig {
     PlantConfig {

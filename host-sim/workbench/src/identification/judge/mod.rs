@@ -11,12 +11,13 @@ pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
-use super::columns::{ColumnSet, Layout};
+use super::columns::Layout;
 use super::dataset::Thinned;
 use super::log::Roughness;
 use super::normal::NormalEquations;
 use super::prepare::PrepareConfig;
 use super::stream::for_each_prepared;
+use super::terms::ColumnSet;
 use super::whole_log::WholeLog;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
