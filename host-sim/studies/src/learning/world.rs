@@ -132,9 +132,9 @@ const SCENARIOS: &[Row] = &[
     }),
     (
         "payload",
-        "15 % of the rated payload, picked up and let go",
+        "10 % of the rated payload, picked up and let go",
         |s| {
-            s.event = Event::Payloads(0.15);
+            s.event = Event::Payloads(0.1);
             (s.seconds, s.quick_s) = (80.0, 28.0);
         },
     ),

@@ -60,9 +60,10 @@ pub(crate) struct PayloadHypothesisTest {
     /// Likewise for an empty hand since some block before, whichever is the most: a CUSUM, kept from window to window.
     empty_cusum: f32,
     rows: f32,
-    /// Squares with the payload in the torque and with the hypothesis.
+    /// Squares with the payload in the torque, with the hypothesis, and with an empty hand.
     current: f32,
     hypothesis: f32,
+    empty: f32,
     /// Consecutive blocks for which each condition holds.
     promote_blocks: u32,
     release_blocks: u32,
@@ -82,6 +83,7 @@ impl PayloadHypothesisTest {
             rows: 0.0,
             current: 0.0,
             hypothesis: 0.0,
+            empty: 0.0,
             promote_blocks: 0,
             release_blocks: 0,
             quiet_blocks: 0,
@@ -122,6 +124,7 @@ impl PayloadHypothesisTest {
         let weight = ratio * ratio;
         let before = weight * square(tau - payload_torque(payload, row));
         let empty = before - weight * square(tau);
+        self.empty += square(tau);
         self.empty_evidence += empty;
         self.empty_cusum += empty;
         self.evidence += before - self.filter.update(row, tau, inflated);
@@ -164,7 +167,12 @@ impl PayloadHypothesisTest {
         let enough = enough || single && self.rows >= MIN_ROWS_SINGLE;
         let over = current < quiet && hypothesis >= UNEXPLAINED * current;
         let over = count(&mut self.quiet_blocks, over, enough);
-        for sum in [&mut self.rows, &mut self.current, &mut self.hypothesis] {
+        let squares = [
+            &mut self.current,
+            &mut self.hypothesis,
+            &mut self.empty,
+        ];
+        for sum in squares.into_iter().chain([&mut self.rows]) {
             *sum *= FADE;
         }
         if released {
@@ -195,8 +203,10 @@ impl PayloadHypothesisTest {
         let mass_sigma = self.filter.mass_sigma();
         let payload = payload_estimate(&self.filter.payload(), mass_sigma);
         let plausible = payload.mass > 0.0 && config.is_body(&self.filter.payload());
-        let explained =
-            self.evidence > config.payload_evidence && hypothesis <= quiet + REMAINDER * current;
+        // In a window in which a payload is let go, the best body is half of it: the last rows show the empty hand.
+        let explained = self.evidence > config.payload_evidence
+            && hypothesis <= quiet + REMAINDER * current
+            && self.hypothesis < self.empty;
         if !plausible {
             Some((Reason::Implausible, payload.mass))
         } else if mass_sigma >= config.max_mass_sigma {

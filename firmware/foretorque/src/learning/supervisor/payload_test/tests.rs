@@ -109,11 +109,11 @@ fn every_disturbance_has_its_decision() {
     );
 }
 
-/// Background test with `felt` where `carried` is in the torque: decisions with their blocks until the payload changes, in
-/// `windows` windows; torques of `height` times the noise of one standard deviation.
+/// Background test with the payload `felt` by block where `carried` is in the torque: decisions with their blocks until the
+/// payload changes, in `windows` windows; torques of `height` times the noise of one standard deviation.
 fn background(
     carried: &Payload,
-    felt: &Payload,
+    felt: impl Fn(u32) -> Payload,
     (height, windows): (f32, u32),
 ) -> std::vec::Vec<(u32, PayloadDecision)> {
     let config = config();
@@ -129,7 +129,7 @@ fn background(
                 .wrapping_add(1);
             // Uniform, of variance 1.
             let noise = 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0);
-            let tau = payload_torque(felt, &row) + 0.1 * noise;
+            let tau = payload_torque(&felt(block), &row) + 0.1 * noise;
             test.add_row(carried, &row, tau, 0.1, 0.1);
         }
         let decision = test.decide(&config, *carried != NO_PAYLOAD, false, 1.0);
@@ -146,7 +146,7 @@ fn background(
 
 /// The change of the payload in such a test.
 fn found(carried: &Payload, felt: &Payload, how: (f32, u32)) -> Option<(u32, PayloadDecision)> {
-    let mut decisions = background(carried, felt, how).into_iter();
+    let mut decisions = background(carried, |_| *felt, how).into_iter();
     decisions.find(|(_, decision)| decision.is_change())
 }
 
@@ -177,11 +177,26 @@ fn a_release_is_found_though_no_window_alone_shows_it() {
 }
 
 #[test]
+fn a_payload_let_go_within_a_window_is_not_half_a_payload() {
+    let mut body = NO_PAYLOAD;
+    body[0] = 1.0;
+    for height in [0.1, 0.2, 0.3] {
+        for last in [40, 80, 120] {
+            let felt = |block| if block > last { NO_PAYLOAD } else { body };
+            let decisions = background(&body, felt, (height, 2));
+            let (block, decision) = *decisions.last().expect("a change");
+            assert_eq!(decision, PayloadDecision::Release, "{height} {block}");
+            assert!(block > last, "{block}");
+        }
+    }
+}
+
+#[test]
 fn what_a_body_explains_is_no_transient_though_it_is_quiet() {
     let mut light = NO_PAYLOAD;
     light[0] = 0.3;
     for (felt, transient) in [(NO_PAYLOAD, true), (light, false)] {
-        let decisions = background(&NO_PAYLOAD, &felt, (1.0, 1));
+        let decisions = background(&NO_PAYLOAD, |_| felt, (1.0, 1));
         let over = decisions
             .iter()
             .find(|(_, decision)| *decision == PayloadDecision::Transient);
