@@ -44,9 +44,9 @@ pub struct ConditionedSample<const N: usize> {
 /// Its length is a time, not a number of ticks: arms with elastic gears are rigid bodies at some Hz only.
 /// Motion and torque are averaged alike, so both belong to the same instant.
 ///
-/// A missing measurement is a gap. An exact copy of the measurement before is one too: the new measurement is late. The
-/// first measurement after a gap may belong to a tick in the gap, so it is dropped: a position shifted by one tick bends
-/// the quadratic. A short gap is bridged with a straight line; an instant whose torque is bridged gives no row.
+/// A missing measurement is a gap. An exact copy of the measurement before is one too: the sensor is slower than the tick, or
+/// its report is late. A short gap is bridged with a straight line to the next measurement. Reports of uneven age are
+/// noise in time, which the fit averages.
 ///
 /// Positions are stored twice, `TAPS` apart, so that the window is contiguous wherever it begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,17 +56,13 @@ pub struct MeasurementWindow<const N: usize> {
     next: usize,
     filled: usize,
     torque_next: usize,
-    /// One bit a sample, newest lowest: set if measured, clear if bridged.
-    measured: u32,
     /// Ticks of a sample, and those in the sample in progress.
     decimation: u32,
     ticks: u32,
-    /// Sum over the sample in progress; true if all of it is measured.
-    sum: (JointMeasurement<N>, bool),
+    /// Sum over the sample in progress.
+    sum: JointMeasurement<N>,
     /// Measurement of the last tick, accepted or bridged.
     last: JointMeasurement<N>,
-    /// Last measurement, accepted or not.
-    newest: Option<JointMeasurement<N>>,
     /// Ticks since the last accepted measurement.
     gap: usize,
 }
@@ -84,12 +80,10 @@ impl<const N: usize> MeasurementWindow<N> {
             next: 0,
             filled: 0,
             torque_next: 0,
-            measured: 0,
             decimation,
             ticks: 0,
-            sum: (zero, false),
+            sum: zero,
             last: zero,
-            newest: None,
             gap: 0,
         }
     }
@@ -99,7 +93,6 @@ impl<const N: usize> MeasurementWindow<N> {
         self.filled = 0;
         self.ticks = 0;
         self.gap = 0;
-        self.newest = None;
     }
 
     /// Discard all measurements; samples are of `decimation` ticks from now on.
@@ -135,12 +128,8 @@ impl<const N: usize> MeasurementWindow<N> {
     /// A gap longer than [`MAX_BRIDGED`] empties the window.
     pub fn push(&mut self, measured: Option<&JointMeasurement<N>>) {
         let arrived = measured.copied().filter(is_finite);
-        let before = core::mem::replace(&mut self.newest, arrived);
-        let follows = self.is_empty() || before.is_some();
-        let accepted = arrived.filter(|arrived| follows && before.as_ref() != Some(arrived));
+        let accepted = arrived.filter(|arrived| self.is_empty() || *arrived != self.last);
         let Some(measured) = accepted else {
-            // After a copy the next measurement may be late as well.
-            self.newest = self.newest.filter(|_| !follows);
             self.gap += 1;
             if self.is_empty() || self.gap > MAX_BRIDGED {
                 self.reset();
@@ -148,7 +137,7 @@ impl<const N: usize> MeasurementWindow<N> {
             return;
         };
         self.bridge(&measured);
-        self.append(&measured, true);
+        self.append(&measured);
     }
 
     /// Fill the gap before `end` with a straight line.
@@ -163,19 +152,18 @@ impl<const N: usize> MeasurementWindow<N> {
         for _ in 1..steps {
             between.q += q;
             between.tau += tau;
-            self.append(&between, false);
+            self.append(&between);
         }
     }
 
     /// Add the measurement of a tick to the sample in progress; the last one completes it.
-    fn append(&mut self, measurement: &JointMeasurement<N>, measured: bool) {
+    fn append(&mut self, measurement: &JointMeasurement<N>) {
         self.last = *measurement;
         if self.ticks == 0 {
-            self.sum = (*measurement, measured);
+            self.sum = *measurement;
         } else {
-            self.sum.0.q += measurement.q;
-            self.sum.0.tau += measurement.tau;
-            self.sum.1 &= measured;
+            self.sum.q += measurement.q;
+            self.sum.tau += measurement.tau;
         }
         self.ticks += 1;
         if self.ticks >= self.decimation {
@@ -185,7 +173,7 @@ impl<const N: usize> MeasurementWindow<N> {
 
     /// Append the mean of the sample in progress.
     fn complete_sample(&mut self) {
-        let (sum, measured) = self.sum;
+        let sum = self.sum;
         let part = 1.0 / self.ticks as f32;
         self.ticks = 0;
         for (q, &sum) in self.q.iter_mut().zip(sum.q.as_slice()) {
@@ -199,11 +187,10 @@ impl<const N: usize> MeasurementWindow<N> {
         self.next = (self.next + 1) % TAPS;
         self.tau[self.torque_next % TORQUES] = sum.tau * part;
         self.torque_next = (self.torque_next + 1) % TORQUES;
-        self.measured = self.measured << 1 | u32::from(measured);
         self.filled = (self.filled + 1).min(TAPS);
     }
 
-    /// Motion and torque `DELAY` samples ago; `None` in a gap, or where the torque is missing.
+    /// Motion and torque `DELAY` samples ago; `None` before the window is full, and where a gap repeats a sample for a joint.
     ///
     /// Least-squares quadratic through the window, at its middle, with `k` in samples of length T and `y_k = q_k − q_0`:
     /// ```text
@@ -217,8 +204,9 @@ impl<const N: usize> MeasurementWindow<N> {
     /// Cost: `5 · DELAY` multiply-adds a joint.
     #[inline(never)]
     pub fn conditioned(&self, inv_period: f32) -> Option<ConditionedSample<N>> {
-        let known = self.measured >> DELAY & 1 == 1;
-        if self.filled < TAPS || self.gap > 0 || !known {
+        // No joint uses a sample twice.
+        let fresh = self.gap == 0 || self.gap + self.decimation as usize <= N;
+        if self.filled < TAPS || !fresh {
             return None;
         }
         let inv_period = inv_period / self.decimation as f32;

@@ -93,6 +93,32 @@ fn friction_that_grows_with_the_load_is_learnt() {
     assert!(curve[30] < 0.015, "{}", curve[30]);
 }
 
+/// Reports 0 to 3 ms old, the newest first, and sensors read in every second and fourth tick.
+#[test]
+fn reports_of_uneven_age_are_learnt() {
+    let unseen = Fourier::new(99, 15.0, 2.7);
+    for every in [1, 2, 4] {
+        let (mut board, mut plant) = Board::learning();
+        let (mut sent, mut newest, mut dice) = (VecDeque::new(), 0, Dice(5));
+        let start = nrmse(board.active(), &unseen, AS_IT_IS).0;
+        for tick in 0..30_000 {
+            let mut sample = plant.sample(tick);
+            sent.push_front(sample.measured);
+            sent.truncate(4);
+            let age = match every {
+                1 => (2.0 * (dice.roll() + 1.0)) as u32,
+                every => tick % every,
+            };
+            newest = newest.max(tick.saturating_sub(age));
+            sample.measured = sent[(tick - newest) as usize];
+            board.tick(&sample);
+        }
+        let error = nrmse(board.active(), &unseen, AS_IT_IS).0;
+        println!("every {every}: {start:.3} to {error:.4}");
+        assert!(error < 0.2 * start, "every {every}: {error}");
+    }
+}
+
 #[test]
 fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
     let (mut board, mut plant) = Board::learning();

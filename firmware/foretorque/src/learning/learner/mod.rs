@@ -30,7 +30,7 @@ pub struct LearnerStatistics {
     pub rejected: u32,
     /// Rows not used because the supervisor pauses the estimate.
     pub frozen: u32,
-    /// Ticks without row: the window is incomplete, or its middle or end is missing.
+    /// Ticks without row: the window is incomplete, or repeats a sample for the joint.
     pub incomplete: u32,
     /// Sets published.
     pub published: u32,
