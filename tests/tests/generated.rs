@@ -12,11 +12,11 @@ const BASE_TOLERANCE: f32 = 1e-5;
 /// The committed module of a shipped arm.
 fn module_is_up_to_date<A: Arm<N, P>, const N: usize, const P: usize>() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware/foretorque/src/arm");
-    let committed = std::fs::read_to_string(folder.join(format!("{}.rs", A::NAME)));
+    let name = A::NAME;
+    let committed = std::fs::read_to_string(folder.join(format!("{name}.rs")));
     assert!(
-        arm_module(&description(A::NAME)) == committed.expect("a shipped arm"),
-        "the module of '{}' is stale: run `cargo run -p host-sim -- generate --robot DESCRIPTION --out MODULE.rs`",
-        A::NAME
+        arm_module(&description(name)) == committed.expect("a shipped arm"),
+        "the module of '{name}' is stale: run `cargo run -p host-sim -- generate --robot DESCRIPTION --out MODULE.rs`"
     );
 }
 

@@ -88,11 +88,9 @@ fn reference_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
         }
     }
     for (error, of) in [(tau, "torque"), (gravity, "gravity"), (mass, "mass matrix")] {
-        println!("{name}: {of} of the reference off by {error:.1e}");
-        assert!(
-            error <= REFERENCE_TOLERANCE,
-            "{name}: {of} off by {error:e}"
-        );
+        let told = format!("{name}: {of} of the reference off by {error:.1e}");
+        println!("{told}");
+        assert!(error <= REFERENCE_TOLERANCE, "{told}");
     }
 }
 
@@ -113,11 +111,8 @@ fn reference_regressor_agrees<A: Arm<N, P>, const N: usize, const P: usize>() {
             }
             // The tables end here: Pinocchio's regressor has no rotor columns. A rotor is felt by its own joint.
             for rotor in 0..N {
-                let entry = if rotor == joint {
-                    state.qdd[joint]
-                } else {
-                    0.0
-                };
+                let felt = rotor == joint;
+                let entry = if felt { state.qdd[joint] } else { 0.0 };
                 let found = regressor[(joint, LINK_PARAMETERS * N + rotor)];
                 assert_eq!(found, entry, "{name}");
             }
@@ -150,9 +145,8 @@ fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
     let table = Table::pinocchio(name);
     let expected = Table::pinocchio(&format!("{name}_regressor"));
     let flags = A::COLUMNS.iter().flat_map(|columns| columns.inertial);
-    let independent = flags
-        .enumerate()
-        .filter_map(|(k, is_base)| is_base.then_some(k));
+    let columns = (0..).zip(flags);
+    let independent = columns.filter_map(|(k, is_base)| is_base.then_some(k));
     let independent: Vec<usize> = independent.collect();
     let mut worst = 0.0_f64;
     for state in 0..table.len() {
@@ -170,11 +164,8 @@ fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
             }
             let rotors = (0..N).filter(|&rotor| A::COLUMNS[rotor].rotor);
             for (value, rotor) in row.iter().skip(independent.len()).zip(rotors) {
-                let entry = if rotor == joint {
-                    motion.qdd[joint]
-                } else {
-                    0.0
-                };
+                let felt = rotor == joint;
+                let entry = if felt { motion.qdd[joint] } else { 0.0 };
                 assert_eq!(*value, entry, "{name}");
             }
         }

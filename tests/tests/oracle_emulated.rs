@@ -3,7 +3,7 @@
 
 use acceptance::{Table, each_arm};
 use foretorque::arm::Arm;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 /// f32 torques of the UR5, N·m: three decimal places below the friction of the joint.
@@ -100,23 +100,20 @@ fn compare<A: Arm<N, P>, const N: usize, const P: usize>(batch: &mut Batch) {
 
 /// Runs the ELF with the two files.
 fn emulate(states: &Path, torques: &Path) {
-    let elf: PathBuf = [env!("CARGO_MANIFEST_DIR"), "../target"].iter().collect();
-    let elf = elf.join("thumbv7em-none-eabihf/firmware/oracle");
+    let target = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target");
+    let elf = target.join("thumbv7em-none-eabihf/firmware/oracle");
+    let place = elf.display();
     assert!(
         elf.exists(),
-        "no firmware at {}: build it with `cargo firmware`",
-        elf.display()
+        "no firmware at {place}: build it with `cargo firmware`"
     );
-    let semihosting = format!(
-        "enable=on,target=native,arg=oracle,arg={},arg={}",
-        states.display(),
-        torques.display()
-    );
+    let (states, torques) = (states.display(), torques.display());
+    let semihosting = format!("enable=on,target=native,arg=oracle,arg={states},arg={torques}");
     let status = Command::new("timeout")
         .args([PATIENCE, "qemu-system-arm", "-machine", "netduinoplus2"])
         .args(["-nographic", "-monitor", "none", "-serial", "none"])
         .args(["-semihosting-config", &semihosting, "-kernel"])
-        .arg(elf)
+        .arg(&elf)
         .stdin(Stdio::null())
         .status()
         .expect("qemu-system-arm is installed: `cargo xtask setup`");

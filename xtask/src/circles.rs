@@ -4,12 +4,10 @@
 //! a module, re-exports and tests do not count.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Result, bail};
 
-use crate::shell::root;
-use crate::words::files;
+use crate::words::{files, read};
 
 /// Prints the imports of every circle; fails if there is one.
 pub(crate) fn run() -> Result<()> {
@@ -31,8 +29,7 @@ pub(crate) fn run() -> Result<()> {
             .and_then(|inner| inner.split_once('/'));
         let file = bin.map_or(inner, |(_, file)| file);
         if !file.ends_with("tests.rs") && !file.contains("tests/") {
-            let text = fs::read_to_string(root().join(&path));
-            let text = text.with_context(|| format!("cannot read {path}"))?;
+            let text = read(&path)?;
             let home = path.trim_end_matches(file).to_owned();
             let sources = crates.entry(home).or_default();
             sources.push((file.to_owned(), text));

@@ -105,8 +105,9 @@ fn compared(bytes: &[u8]) -> String {
 ///
 /// The board checks them at its start. One whose file has none starts too, and reports so.
 fn seal(elf: &mut [u8]) -> Result<Vec<u8>> {
-    let mut program = program(elf)?;
-    let (place, offset) = places_of_seal(elf)?;
+    let file = ElfBytes::minimal_parse(elf).context("the firmware is not an ELF file")?;
+    let mut program = program(&file)?;
+    let (place, offset) = places_of_seal(&file)?;
     let words = seal_of(&program, place)?;
     for (bytes, at) in [(&mut program[..], place), (elf, offset)] {
         let seal = bytes.get_mut(at..at + SEAL_BYTES);
@@ -117,21 +118,13 @@ fn seal(elf: &mut [u8]) -> Result<Vec<u8>> {
 }
 
 /// Places of the seal in the program and in the file.
-fn places_of_seal(elf: &[u8]) -> Result<(usize, usize)> {
-    let file = ElfBytes::<LittleEndian>::minimal_parse(elf)?;
-    let table = file
-        .symbol_table()?
-        .context("the firmware has no symbols")?;
-    let (symbols, names) = table;
-    let mut symbols = symbols.iter();
-    let symbol = symbols.find(|symbol| {
-        names
-            .get(symbol.st_name as usize)
-            .is_ok_and(|name| name == SEAL)
-    });
-    let address = symbol
-        .with_context(|| format!("the firmware has no {SEAL}"))?
-        .st_value;
+fn places_of_seal(file: &ElfBytes<'_, LittleEndian>) -> Result<(usize, usize)> {
+    let table = file.symbol_table()?;
+    let (symbols, names) = table.context("the firmware has no symbols")?;
+    let is_seal = |name: usize| names.get(name).is_ok_and(|name| name == SEAL);
+    let symbol = symbols.iter().find(|it| is_seal(it.st_name as usize));
+    let symbol = symbol.with_context(|| format!("the firmware has no {SEAL}"))?;
+    let address = symbol.st_value;
     let segments = file.segments().context("the firmware is not linked")?;
     let holds = |start: u64, bytes: u64| (start..start + bytes).contains(&address);
     let segment = segments
@@ -159,9 +152,7 @@ fn seal_of(program: &[u8], place: usize) -> Result<[u8; SEAL_BYTES]> {
 }
 
 /// The bytes for the flash from its start.
-fn program(elf: &[u8]) -> Result<Vec<u8>> {
-    let file =
-        ElfBytes::<LittleEndian>::minimal_parse(elf).context("the firmware is not an ELF file")?;
+fn program(file: &ElfBytes<'_, LittleEndian>) -> Result<Vec<u8>> {
     let mut segments = Vec::new();
     for header in file.segments().context("the firmware is not linked")? {
         if header.p_type == PT_LOAD && header.p_filesz > 0 {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 
-use crate::shell;
+use crate::shell::{self, capture};
 use crate::toolchain::{TARGET, Toolchain, Tools};
 
 /// Manifest of a user's crate with its own arm and critical section.
@@ -38,9 +38,8 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
     let mut tree = tools.board.tool("cargo");
     tree.args(["tree", "--locked", "--target", TARGET, "-e", "normal"]);
     tree.args(["--prefix", "none", "--manifest-path", OWN_ARM]);
-    let output = tree.output().context("cannot start `cargo tree`")?;
-    ensure!(output.status.success(), "`cargo tree` failed");
-    let count = judge(&String::from_utf8_lossy(&output.stdout))?;
+    let tree = capture(&mut tree).context("`cargo tree` failed")?;
+    let count = judge(&tree)?;
     println!("a crate outside links with {count} crates");
 
     let mut package = tools.host.tool("cargo");
@@ -54,9 +53,7 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
 /// The core of `target` is there.
 fn installed(toolchain: Toolchain, target: &str) -> Result<bool> {
     let mut rustc = toolchain.tool("rustc");
-    let output = rustc.args(["--print", "sysroot"]).output();
-    let sysroot = output.context("cannot start `rustc`")?.stdout;
-    let sysroot = String::from_utf8_lossy(&sysroot);
+    let sysroot = capture(rustc.args(["--print", "sysroot"])).context("`rustc` failed")?;
     let libraries = Path::new(sysroot.trim()).join("lib/rustlib").join(target);
     Ok(libraries.join("lib").is_dir())
 }

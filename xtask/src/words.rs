@@ -65,7 +65,8 @@ pub(crate) fn files(end: &str) -> Result<Vec<String>> {
     Ok(found)
 }
 
-fn read(path: &str) -> Result<String> {
+/// Text of a file, given from the workspace's root.
+pub(crate) fn read(path: &str) -> Result<String> {
     fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))
 }
 

@@ -35,11 +35,8 @@ impl Numbers {
 }
 
 fn line(values: &[f32]) -> String {
-    let words: Vec<String> = values
-        .iter()
-        .map(|v| format!("{:08x}", v.to_bits()))
-        .collect();
-    words.join(" ")
+    let words = values.iter().map(|v| format!("{:08x}", v.to_bits()));
+    words.collect::<Vec<_>>().join(" ")
 }
 
 /// The computation of main.c on the host.
@@ -79,10 +76,10 @@ fn native() -> Vec<String> {
 fn emulated() -> Vec<String> {
     let target = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target");
     let elf = target.join("thumbv7em-none-eabihf/firmware/capi-example");
+    let place = elf.display();
     assert!(
         elf.is_file(),
-        "no C program at {}: build it with `cargo xtask capi`",
-        elf.display()
+        "no C program at {place}: build it with `cargo xtask capi`"
     );
     let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("capi.txt");
     let status = Command::new("timeout")
@@ -119,10 +116,8 @@ fn bad_calls_are_answered_and_change_nothing() {
     // SAFETY: as above; the null pointers are what is tried.
     unsafe {
         use ForetorqueStatus::{Bank, LearningOn, Misaligned, Null, Ok, Period, TooSmall};
-        assert_eq!(
-            foretorque_init(ptr::null_mut(), size, 1e-3, &raw mut it),
-            Null
-        );
+        let nowhere = ptr::null_mut();
+        assert_eq!(foretorque_init(nowhere, size, 1e-3, &raw mut it), Null);
         assert_eq!(foretorque_init(place, size, 1e-3, ptr::null_mut()), Null);
         assert_eq!(foretorque_init(place, 100, 1e-3, &raw mut it), TooSmall);
         let odd = place.byte_add(1);

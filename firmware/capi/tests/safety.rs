@@ -105,10 +105,8 @@ fn torque_needs_fresh_samples_and_arming() {
     let shoulder = program.tick(Some(0.0), 1).total_nm[1];
     assert!(shoulder.abs() > 30.0, "{shoulder}");
     let safety = program.safety();
-    assert_eq!(
-        (safety.state, safety.enabled),
-        (SafetyState::Armed as u8, 1)
-    );
+    assert_eq!(safety.state, SafetyState::Armed as u8);
+    assert_eq!(safety.enabled, 1);
     // SAFETY: `it` lives.
     let status = unsafe { foretorque_load_bank(program.it, [0].as_ptr(), 1) };
     assert_eq!(status, ForetorqueStatus::Armed);
@@ -140,10 +138,8 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
     let mut program = Program::armed();
     // SAFETY: `it` lives in all these calls.
     unsafe {
-        assert_eq!(
-            foretorque_set_brake(program.it, 100_000),
-            ForetorqueStatus::Armed
-        );
+        use ForetorqueStatus::{Armed, Null, Ok};
+        assert_eq!(foretorque_set_brake(program.it, 100_000), Armed);
         foretorque_stop(program.it, 0);
         let safety = program.safety();
         let stopped = SafetyReason::Stopped.code();
@@ -151,14 +147,8 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
         assert_eq!(program.tick(Some(0.0), 1).total_nm, [0.0; 6]);
         assert_eq!(program.arm(), SafetyReason::Stopped);
         let mut reason = 255;
-        assert_eq!(
-            foretorque_clear_fault(program.it, &raw mut reason),
-            ForetorqueStatus::Ok
-        );
-        assert_eq!(
-            foretorque_set_brake(program.it, 100_000),
-            ForetorqueStatus::Ok
-        );
+        assert_eq!(foretorque_clear_fault(program.it, &raw mut reason), Ok);
+        assert_eq!(foretorque_set_brake(program.it, 100_000), Ok);
         (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
         assert_eq!(program.arm(), SafetyReason::None);
         (0..40).for_each(|_| _ = program.tick(Some(0.0), 1));
@@ -173,6 +163,6 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
         foretorque_temperature(program.it, 2, 101);
         (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
         assert_eq!(program.arm(), SafetyReason::MotorHot);
-        assert_eq!(foretorque_disarm(ptr::null_mut()), ForetorqueStatus::Null);
+        assert_eq!(foretorque_disarm(ptr::null_mut()), Null);
     }
 }

@@ -55,13 +55,8 @@ mod tests {
         assert_eq!(div_u64_by_u32(0, 1), 0);
         assert_eq!(div_u64_by_u32(0, 0), u32::MAX);
         assert_eq!(div_u64_by_u32(u64::from(u32::MAX), 1), u32::MAX);
-        assert_eq!(
-            div_u64_by_u32((u64::from(u32::MAX) << 32) - 1, u32::MAX),
-            u32::MAX
-        );
-        assert_eq!(
-            div_u64_by_u32(u64::from(u32::MAX - 1) << 32, u32::MAX),
-            u32::MAX - 1
-        );
+        const MAX: u32 = u32::MAX;
+        assert_eq!(div_u64_by_u32((u64::from(MAX) << 32) - 1, MAX), MAX);
+        assert_eq!(div_u64_by_u32(u64::from(MAX - 1) << 32, MAX), MAX - 1);
     }
 }

@@ -1,7 +1,8 @@
 //! Enumerations with a text for each variant.
 
 /// Declares an error. The text of a variant is its documentation and what it displays; names in braces are those of the
-/// payload. A variant `of joint` has the number of a joint as payload, from 0, and displays it from 1.
+/// payload. A variant `of joint` has the number of a joint as payload, from 0, and displays it from 1. A payload of 0 may
+/// have a text of its own.
 macro_rules! errors {
     (
         $(#[$meta:meta])*
@@ -11,7 +12,7 @@ macro_rules! errors {
                 $variant:ident
                     $(of $joint:ident)?
                     $(($item:ident: $(#[$wire:meta])* $type:ty))?
-                    $({ $(#[$inside:meta])* $field:ident: $number:ty })?
+                    $({ $(#[$inside:meta])* $field:ident: $number:ident $(; 0 = $none:literal)? })?
                     = $text:literal;
             )*
         }
@@ -32,6 +33,7 @@ macro_rules! errors {
             fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
                 match self {
                     $(
+                        $($(Self::$variant { $field: 0 } => f.write_str($none),)?)?
                         Self::$variant $(($joint))? $(($item))? $({ $field })? => {
                             $(let $joint = u16::from(*$joint) + 1;)?
                             write!(f, $text)

@@ -42,6 +42,16 @@ macro_rules! at_run_time {
     };
 }
 
+/// Functions that give parts of the selected arm.
+macro_rules! of_model {
+    ($model:ident: $($name:ident: $kind:ty = $part:expr),*) => {
+        $(fn $name() -> $kind {
+            let $model = Self::model();
+            $part
+        })*
+    };
+}
+
 impl<const N: usize, const P: usize> Arm<N, P> for Described<N, P> {
     at_run_time! {
         NAME: &'static str, HASH: u32, GRAVITY: [f32; 3], PLACEMENTS: [Placement; N], COLUMNS: [LinkColumns; N],
@@ -56,38 +66,19 @@ impl<const N: usize, const P: usize> Arm<N, P> for Described<N, P> {
             .and_then(<dyn Any>::downcast_ref)
             .expect("an arm of N joints is selected before it is used")
     }
-    fn name() -> &'static str {
-        Self::model().name
-    }
-    fn hash() -> u32 {
-        Self::model().hash()
-    }
-    fn gravity() -> &'static [f32; 3] {
-        &Self::model().gravity
-    }
-    fn placements() -> &'static [Placement; N] {
-        &Self::model().placements
-    }
-    fn columns() -> &'static [LinkColumns; N] {
-        &Self::model().columns
-    }
-    fn index() -> &'static BaseIndex<N> {
-        &Self::model().index
-    }
-    fn base_map() -> &'static [BaseTerm] {
-        Self::model().base_map
-    }
-    fn limits() -> &'static [JointLimits; N] {
-        &Self::model().limits
-    }
-    fn cogging_cycles() -> &'static [f32; N] {
-        &Self::model().cogging_cycles
-    }
-    fn encoder_step() -> f32 {
-        Self::model().encoder_step
-    }
-    fn nominal() -> &'static BaseParameters<P> {
-        &Self::model().nominal
+
+    of_model! { model:
+        name: &'static str = model.name,
+        hash: u32 = model.hash(),
+        gravity: &'static [f32; 3] = &model.gravity,
+        placements: &'static [Placement; N] = &model.placements,
+        columns: &'static [LinkColumns; N] = &model.columns,
+        index: &'static BaseIndex<N> = &model.index,
+        base_map: &'static [BaseTerm] = model.base_map,
+        limits: &'static [JointLimits; N] = &model.limits,
+        cogging_cycles: &'static [f32; N] = &model.cogging_cycles,
+        encoder_step: f32 = model.encoder_step,
+        nominal: &'static BaseParameters<P> = &model.nominal
     }
 }
 

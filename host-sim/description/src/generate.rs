@@ -65,17 +65,13 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>) -> String {
     let (joints, parameters) = (N, model.index.count);
     let sizes = "JOINTS, PARAMETERS";
     let with_arm = format!("{arm}, {sizes}");
+    let between = "Exchange between feed-forward and learner";
     let aliases = [
         ("Feed-forward", "feedforward", "FeedForward", &*with_arm),
         ("Learner", "learning", "Learner", &with_arm),
         ("Learner configuration", "learning", "LearnerConfig", sizes),
         ("Parameter set", "learning", "ParameterSet", sizes),
-        (
-            "Exchange between feed-forward and learner",
-            "learning",
-            "Exchange",
-            sizes,
-        ),
+        (between, "learning", "Exchange", sizes),
     ];
     let aliases = aliases.map(|(quantity, module, alias, generics)| {
         format!("/// {quantity} of this arm.\npub type {alias} = foretorque::{module}::{alias}<{generics}>;\n")

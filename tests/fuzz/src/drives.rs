@@ -63,11 +63,7 @@ pub fn drives(input: &[u8]) {
         return;
     };
     let word = u32::from_le_bytes([i0, i1, i2, i3]);
-    let mut frame = if word >> 31 == 1 {
-        Frame::extended(word, data)
-    } else {
-        Frame::standard(word, data)
-    };
+    let mut frame = Frame::new(word, word >> 31 == 1, data);
     frame.remote = word >> 29 & 1 == 1;
     if word >> 30 & 1 == 1 {
         frame = frame.into_fd(0x50);
@@ -75,16 +71,9 @@ pub fn drives(input: &[u8]) {
     for profile in profiles(choice) {
         match profile.decode(&frame) {
             Some(Event::Reply(reply)) => {
-                let values = [
-                    reply.position,
-                    reply.velocity,
-                    reply.torque,
-                    reply.temperature,
-                ];
-                assert!(
-                    values.into_iter().flatten().all(f32::is_finite),
-                    "{frame:?} {reply:?}"
-                );
+                let motion = [reply.position, reply.velocity, reply.torque];
+                let mut values = motion.into_iter().chain([reply.temperature]).flatten();
+                assert!(values.all(f32::is_finite), "{frame:?} {reply:?}");
                 profile.reply(&reply, &mut Frames::new());
             }
             Some(Event::Scale(_, value)) => assert!(value.is_finite(), "{frame:?}"),

@@ -95,14 +95,9 @@ pub fn decoder(input: &[u8]) {
     assert!(decoder.bytes_lost() as usize <= bytes.len());
     let _ = decoder.push(0);
     let good = sealed(7, &[0]);
-    let decoded = good
-        .iter()
-        .filter_map(|&byte| decoder.push(byte).map(|f| f.is_ok()));
-    assert_eq!(
-        decoded.collect::<Vec<_>>(),
-        [true],
-        "out of step after a delimiter"
-    );
+    let mut push = |&byte: &u8| decoder.push(byte).map(|frame| frame.is_ok());
+    let decoded: Vec<bool> = good.iter().filter_map(&mut push).collect();
+    assert_eq!(decoded, [true], "out of step after a delimiter");
 }
 
 /// A message keeps its bytes when it is read, written and read again. NaN is compared by its bits.
@@ -119,13 +114,10 @@ fn again<M: Serialize + DeserializeOwned + Debug>(
             read = Some(frame.and_then(|frame| frame.message::<M>()));
         }
     }
-    let read = read
-        .expect("a frame has an end")
-        .expect("it was just written");
-    assert_eq!(
-        bytes,
-        encode(1, &read, &mut second).expect("it fits as before")
-    );
+    let read = read.expect("a frame has an end");
+    let read = read.expect("it was just written");
+    let written = encode(1, &read, &mut second).expect("it fits as before");
+    assert_eq!(bytes, written);
 }
 
 /// The bank loader: what it reads it writes and reads again as the same, and what it lets through is usable by the tick.
@@ -145,15 +137,12 @@ pub fn bank(input: &[u8]) {
         return;
     };
     let mut buffer = [0; ParameterBank::MAX_BYTES];
-    let written = bank
-        .encode(&mut buffer)
-        .expect("a bank that was read fits the largest one");
+    let written = bank.encode(&mut buffer);
+    let written = written.expect("a bank that was read fits the largest one");
     let read = ParameterBank::decode(written).expect("it was just written");
     let mut second = [0; ParameterBank::MAX_BYTES];
-    assert_eq!(
-        written,
-        read.encode(&mut second).expect("it fits as before")
-    );
+    let again = read.encode(&mut second).expect("it fits as before");
+    assert_eq!(written, again);
     check_set::<Ur5, 6, 40>(&bank);
     check_set::<Panda, 7, 48>(&bank);
 }
@@ -257,10 +246,8 @@ impl Observed {
         let mut message = None;
         for &byte in bytes {
             if let Some(Ok(frame)) = self.sent.push(byte) {
-                message = frame
-                    .message()
-                    .ok()
-                    .map(|message| (frame.sequence, message));
+                let read = frame.message().ok();
+                message = read.map(|message| (frame.sequence, message));
             }
         }
         match message {

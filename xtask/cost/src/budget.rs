@@ -85,10 +85,8 @@ impl Budget {
     fn unexplained(&self, measured: &[Measured]) -> Vec<String> {
         let explained = |line: &Line| {
             let goal = measured.iter().find(|m| m.quantity == line.quantity);
-            // The last raise of a quantity counts; earlier ones are history.
-            let mut raises = self.raises.iter().rev();
-            let raised = raises.find(|raise| raise.quantity == line.quantity);
-            let raised = raised.is_some_and(|raise| raise.new >= line.limit);
+            let raise = self.raise(&line.quantity);
+            let raised = raise.is_some_and(|raise| raise.new >= line.limit);
             line.limit <= fresh(line.value)
                 || raised
                 || goal.is_some_and(|goal| goal.allowed == Some(line.limit))
@@ -105,6 +103,12 @@ impl Budget {
 
     pub(crate) fn line(&self, quantity: &str) -> Option<&Line> {
         self.lines.iter().find(|line| line.quantity == quantity)
+    }
+
+    /// The last raise of a quantity; earlier ones are history.
+    fn raise(&self, quantity: &str) -> Option<&Raise> {
+        let mut raises = self.raises.iter().rev();
+        raises.find(|raise| raise.quantity == quantity)
     }
 
     /// Compares with the measurements of the code of `toolchain`.
@@ -168,10 +172,8 @@ impl Budget {
             let fresh = fresh(*value);
             let line = self.line(quantity);
             let before = line.map_or(fresh, |line| line.limit);
-            let mut raises = self.raises.iter().rev();
-            let raised = raises.find(|raise| raise.quantity == *quantity);
             // A raise counts from the limit that it names.
-            let before = match raised {
+            let before = match self.raise(quantity) {
                 Some(raise) if raise.old == before => raise.new,
                 _ => before,
             };
@@ -254,11 +256,9 @@ mod tests {
 
     #[test]
     fn a_quantity_without_a_budget_or_a_measurement_fails() {
-        assert_eq!(
-            Budget::default().compare("x", &measured(1)).exceeded.len(),
-            1
-        );
-        assert_eq!(budget().compare("rustc 1.96.0", &[]).exceeded.len(), 1);
+        let unknown = Budget::default().compare("x", &measured(1));
+        let unmeasured = budget().compare("rustc 1.96.0", &[]);
+        assert_eq!([unknown, unmeasured].map(|it| it.exceeded.len()), [1, 1]);
     }
 
     #[test]
@@ -282,23 +282,15 @@ mod tests {
     fn a_raise_needs_a_line_with_its_reason() {
         let page = budget().page();
         let by_hand = Budget::parse(&page.replace("| 1020 |", "| 1500 |")).unwrap();
-        assert_eq!(
-            by_hand
-                .compare("rustc 1.96.0", &measured(1400))
-                .exceeded
-                .len(),
-            1
-        );
-        assert!(by_hand.accept("rustc 1.96.0", &measured(1400)).is_err());
+        let (rustc, measured_1400) = ("rustc 1.96.0", &measured(1400)[..]);
+        assert_eq!(by_hand.compare(rustc, measured_1400).exceeded.len(), 1);
+        assert!(by_hand.accept(rustc, measured_1400).is_err());
         let line = "| raise | `friction_ur5, instructions` | 1020 | 1500 | nine columns |\n";
         let raised = Budget::parse(&format!("{page}{line}")).unwrap();
-        let accepted = raised.accept("rustc 1.96.0", &measured(1400)).unwrap();
+        let accepted = raised.accept(rustc, measured_1400).unwrap();
         assert_eq!(accepted.lines[0].limit, 1428);
         assert!(accepted.page().contains(line) && raised.accept("x", &measured(1501)).is_err());
-        assert_eq!(
-            accepted.compare("rustc 1.96.0", &measured(1400)),
-            Verdict::default()
-        );
+        assert_eq!(accepted.compare(rustc, measured_1400), Verdict::default());
         assert!(Budget::parse(&format!("{page}| raise | `a` | 1 | 2 | |\n")).is_err());
     }
 

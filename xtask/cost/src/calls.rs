@@ -260,9 +260,15 @@ mod tests {
         [0xF7FF, 0xF800 | half as u16 & 0x7FF]
     }
 
-    /// The depth, and the reason of the unknown if there is one.
-    fn depth_and_unknown(image: &Image) -> (u32, String) {
-        let mut walk = Walk::from(image, &[CALLER]);
+    /// Code of a caller, and of a leaf that it may reach.
+    fn image(caller: &[u16]) -> Image {
+        Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, caller)])
+    }
+
+    /// The depth of a caller with this code, and the reason of the unknown if there is one.
+    fn depth_and_unknown(caller: &[u16]) -> (u32, String) {
+        let image = image(caller);
+        let mut walk = Walk::from(&image, &[CALLER]);
         let bytes = walk.depth(CALLER).bytes;
         let reasons = walk
             .unknowns
@@ -277,22 +283,16 @@ mod tests {
         let [high, low] = call(CALLER + 2, LEAF);
         // push {r4, lr}; bl leaf; pop {r4, pc}
         let caller = [0xB510, high, low, 0xBD10];
-        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknown(&image), (8 + 16, String::new()));
+        assert_eq!(depth_and_unknown(&caller), (8 + 16, String::new()));
+        let image = image(&caller);
         let walk = Walk::from(&image, &[CALLER]);
         assert_eq!(walk.path_to("leaf", &[CALLER]), ["caller", "leaf"]);
-    }
-
-    #[test]
-    fn calls_that_are_left_out_add_no_stack() {
-        let [high, low] = call(CALLER + 2, LEAF);
-        let caller = [0xB510, high, low, 0xBD10];
         let name = "app::main::set_up";
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), (name, CALLER, &caller)]);
         let mut walk = Walk::from(&image, &[CALLER]);
         assert_eq!(walk.depth(CALLER).bytes, 8 + 16);
         walk.leave_out_calls_of("set_up");
-        assert_eq!(walk.depth(CALLER).bytes, 8);
+        assert_eq!(walk.depth(CALLER).bytes, 8, "calls that are left out");
     }
 
     #[test]
@@ -301,34 +301,27 @@ mod tests {
         let mut caller = [0xB510, 0xE8BD, 0x4010, 0xE000];
         let half = LEAF.wrapping_sub(CALLER + 6 + 4) >> 1;
         caller[3] |= half as u16 & 0x7FF;
-        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknown(&image), (16, String::new()));
+        assert_eq!(depth_and_unknown(&caller), (16, String::new()));
     }
 
     #[test]
-    fn a_call_through_a_pointer_is_unknown() {
+    fn pointers_recursion_and_stacks_of_unfixed_size_are_unknown() {
         // push {r4, lr}; blx r0; pop {r4, pc}
         let caller = [0xB510, 0x4780, 0xBD10];
-        let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), ("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknown(&image), (8, INDIRECT_CALL.into()));
-    }
-
-    #[test]
-    fn recursion_and_stacks_of_unfixed_size_are_unknown() {
+        assert_eq!(depth_and_unknown(&caller), (8, INDIRECT_CALL.into()));
         let [high, low] = call(CALLER + 2, CALLER);
         let itself = [0xB510, high, low, 0xBD10];
-        let image = Image::of_code(&[("caller", CALLER, &itself)]);
-        assert_eq!(depth_and_unknown(&image).1, RECURSION);
+        assert_eq!(depth_and_unknown(&itself).1, RECURSION);
         // sub.w sp, sp, r0; bx lr
-        let image = Image::of_code(&[("caller", CALLER, &[0xEBAD, 0x0D00, 0x4770])]);
-        assert_eq!(depth_and_unknown(&image).1, UNKNOWN_STACK);
+        let unfixed = [0xEBAD, 0x0D00, 0x4770];
+        assert_eq!(depth_and_unknown(&unfixed).1, UNKNOWN_STACK);
     }
 
     #[test]
     fn what_follows_a_conditional_return_is_followed_too() {
         // it eq; bxeq lr; push {r4, lr}; pop {r4, pc}
-        let image = Image::of_code(&[("caller", CALLER, &[0xBF08, 0x4770, 0xB510, 0xBD10])]);
-        assert_eq!(depth_and_unknown(&image), (8, String::new()));
+        let caller = [0xBF08, 0x4770, 0xB510, 0xBD10];
+        assert_eq!(depth_and_unknown(&caller), (8, String::new()));
     }
 
     #[test]
@@ -339,11 +332,9 @@ mod tests {
             0x4770, // bx lr
             0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
         ];
-        let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknown(&image), (8, String::new()));
+        assert_eq!(depth_and_unknown(&caller), (8, String::new()));
         // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
         let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
-        let image = Image::of_code(&[("caller", CALLER, &caller)]);
-        assert_eq!(depth_and_unknown(&image), (8, String::new()));
+        assert_eq!(depth_and_unknown(&caller), (8, String::new()));
     }
 }

@@ -6,10 +6,19 @@ use anyhow::{Context as _, Result, ensure};
 use proc_macro2::Span;
 use syn::spanned::Spanned as _;
 use syn::visit::{self, Visit};
-use syn::{BinOp, Expr, Lit, Stmt, UnOp};
+use syn::{BinOp, Expr, ExprBinary, Lit, Stmt, UnOp};
 
 /// Path of the switch in the mutated tree.
 const ON: &str = "::foretorque::mutation::on";
+
+/// Operators, and the two that may take the place of each: of a comparison, one at its boundary and the opposite.
+#[rustfmt::skip]
+const OPERATORS: [(&str, [&str; 2]); 16] = [
+    ("<", ["<=", ">="]), ("<=", ["<", ">"]), (">", [">=", "<="]), (">=", [">", "<"]),
+    ("==", ["!="; 2]), ("!=", ["=="; 2]),
+    ("+", ["-"; 2]), ("-", ["+"; 2]), ("*", ["/"; 2]), ("/", ["*"; 2]), ("%", ["/"; 2]),
+    ("&", ["|"; 2]), ("|", ["&"; 2]), ("^", ["&"; 2]), ("<<", [">>"; 2]), (">>", ["<<"; 2]),
+];
 
 /// Insertion, or replacement of `at`; `#` in the text stands for the call of the switch.
 #[derive(Clone, Debug)]
@@ -18,6 +27,13 @@ struct Edit {
     text: String,
     /// Closes what an earlier edit of the same place has opened.
     closes: bool,
+}
+
+impl Edit {
+    fn new(at: Range<usize>, text: &str, closes: bool) -> Self {
+        let text = text.to_owned();
+        Self { at, text, closes }
+    }
 }
 
 /// One mutant: an expression or statement of a function, and its change behind a switch.
@@ -70,12 +86,10 @@ impl Place {
 }
 
 fn wrapped(span: &Range<usize>, head: &str, tail: &str) -> Vec<Edit> {
-    let edit = |at: usize, text: &str, closes| Edit {
-        at: at..at,
-        text: text.to_owned(),
-        closes,
-    };
-    vec![edit(span.start, head, false), edit(span.end, tail, true)]
+    vec![
+        Edit::new(span.start..span.start, head, false),
+        Edit::new(span.end..span.end, tail, true),
+    ]
 }
 
 fn one_line(text: &str) -> String {
@@ -172,7 +186,14 @@ impl Finder<'_> {
         }
     }
 
-    fn binary(&mut self, binary: &syn::ExprBinary) {
+    /// The operator of an expression, and what may take its place; none for `&&`, `||` and assignments.
+    fn operator(&self, binary: &ExprBinary) -> (&str, Option<[&'static str; 2]>) {
+        let operator = &self.text[binary.op.span().byte_range()];
+        let known = OPERATORS.iter().find(|(known, _)| *known == operator);
+        (operator, known.map(|(_, others)| *others))
+    }
+
+    fn binary(&mut self, binary: &ExprBinary) {
         let span = binary.span();
         if let BinOp::And(_) | BinOp::Or(_) = binary.op {
             let (head, word) = match binary.op {
@@ -187,38 +208,18 @@ impl Finder<'_> {
             return;
         }
         // Of the two changes of a comparison, one by its place: the boundary or the opposite.
-        let boundary = span.byte_range().start.is_multiple_of(2);
-        let either = |at_boundary, opposite| if boundary { at_boundary } else { opposite };
-        let (from, to) = match binary.op {
-            BinOp::Lt(_) => ("<", either("<=", ">=")),
-            BinOp::Le(_) => ("<=", either("<", ">")),
-            BinOp::Gt(_) => (">", either(">=", "<=")),
-            BinOp::Ge(_) => (">=", either(">", "<")),
-            BinOp::Eq(_) => ("==", "!="),
-            BinOp::Ne(_) => ("!=", "=="),
-            BinOp::Add(_) => ("+", "-"),
-            BinOp::Sub(_) => ("-", "+"),
-            BinOp::Mul(_) => ("*", "/"),
-            BinOp::Div(_) => ("/", "*"),
-            BinOp::Rem(_) => ("%", "/"),
-            BinOp::BitAnd(_) => ("&", "|"),
-            BinOp::BitOr(_) => ("|", "&"),
-            BinOp::BitXor(_) => ("^", "&"),
-            BinOp::Shl(_) => ("<<", ">>"),
-            BinOp::Shr(_) => (">>", "<<"),
-            _ => return,
+        let (from, Some(others)) = self.operator(binary) else {
+            return;
         };
+        let to = others[span.byte_range().start % 2];
+        let change = format!("{from} to {to}");
         let mut edits = wrapped(
             &span.byte_range(),
             "(match (",
             &format!(") {{ (x, y) => if # {{ x {to} y }} else {{ x {from} y }} }})"),
         );
-        edits.push(Edit {
-            at: binary.op.span().byte_range(),
-            text: ",".to_owned(),
-            closes: false,
-        });
-        self.push(span, &format!("{from} to {to}"), edits);
+        edits.push(Edit::new(binary.op.span().byte_range(), ",", false));
+        self.push(span, &change, edits);
     }
 
     fn literal(&mut self, literal: &syn::ExprLit) {
@@ -312,12 +313,16 @@ impl<'ast> Visit<'ast> for Finder<'_> {
 
     fn visit_stmt(&mut self, stmt: &'ast Stmt) {
         if let Stmt::Expr(expr, Some(_)) = stmt {
-            let assigns = matches!(expr, Expr::Binary(binary) if assignment(&binary.op));
-            let acts = matches!(
-                expr,
-                Expr::MethodCall(_) | Expr::Call(_) | Expr::Assign(_) | Expr::Try(_)
-            );
-            if acts || assigns {
+            let acts = match expr {
+                Expr::MethodCall(_) | Expr::Call(_) | Expr::Assign(_) | Expr::Try(_) => true,
+                // `+=` and its like.
+                Expr::Binary(binary) => {
+                    let (operator, others) = self.operator(binary);
+                    operator.ends_with('=') && others.is_none()
+                }
+                _ => false,
+            };
+            if acts {
                 self.wrap(stmt.span(), "delete", "if !# { ", " }");
             }
         }
@@ -352,15 +357,10 @@ impl<'ast> Visit<'ast> for Finder<'_> {
                         let tail = format!(
                             ") {{ (x, y) => if # {{ x.{other}(y) }} else {{ x.{name}(y) }} }})"
                         );
-                        let edit = |at, text: &str, closes| Edit {
-                            at,
-                            text: text.to_owned(),
-                            closes,
-                        };
                         let edits = vec![
-                            edit(span.start..span.start, "(match (", false),
-                            edit(receiver.end..args.start, ", ", false),
-                            edit(args.end..span.end, &tail, true),
+                            Edit::new(span.start..span.start, "(match (", false),
+                            Edit::new(receiver.end..args.start, ", ", false),
+                            Edit::new(args.end..span.end, &tail, true),
                         ];
                         self.push(expr.span(), &format!("{name} to {other}"), edits);
                     }
@@ -375,20 +375,4 @@ impl<'ast> Visit<'ast> for Finder<'_> {
         }
         visit::visit_expr(self, expr);
     }
-}
-
-fn assignment(op: &BinOp) -> bool {
-    matches!(
-        op,
-        BinOp::AddAssign(_)
-            | BinOp::SubAssign(_)
-            | BinOp::MulAssign(_)
-            | BinOp::DivAssign(_)
-            | BinOp::BitAndAssign(_)
-            | BinOp::BitOrAssign(_)
-            | BinOp::BitXorAssign(_)
-            | BinOp::ShlAssign(_)
-            | BinOp::ShrAssign(_)
-            | BinOp::RemAssign(_)
-    )
 }

@@ -1,6 +1,7 @@
 //! Properties of a board with this chip, and its pins by number.
 
 use foretorque_link::session::LocalSensor;
+use stm32f4xx_hal::gpio::{PA2, PA3};
 use stm32f4xx_hal::pac::{GPIOA, GPIOB, GPIOC};
 use stm32f4xx_hal::rcc::Rcc;
 
@@ -59,34 +60,33 @@ pub struct Ports {
     pub c: GPIOC,
 }
 
-/// A port of the chip.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Port {
-    /// Port A.
-    A,
-    /// Port B.
-    B,
+/// Gives both pins of the link to USART2: transmitter and receiver, alternate function 7 (DS8626 table 9).
+pub fn start_link(transmitter: PA2, receiver: PA3) {
+    transmitter.into_alternate::<7>();
+    // Held high while nothing is plugged in: an open line is full of start bits.
+    receiver.into_alternate::<7>().internal_pull_up(true);
 }
 
-/// One pin of a port.
+/// One pin, by its number of 0 to 15.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Pin {
-    /// Its port.
-    pub port: Port,
-    /// Its number, 0 to 15.
-    pub number: u8,
+pub enum Pin {
+    /// Of port A.
+    A(u8),
+    /// Of port B.
+    B(u8),
 }
 
 impl Pin {
     /// Drives the pin high or low.
     #[inline(always)]
     pub fn write(self, high: bool) {
-        let bits = 1 << if high { self.number } else { self.number + 16 };
+        let (Self::A(number) | Self::B(number)) = self;
+        let bits = 1 << if high { number } else { number + 16 };
         // SAFETY: BSRR is write-only and changes the named bit in one access (RM0090 8.4.7); no other code drives it.
         unsafe {
-            match self.port {
-                Port::A => (*GPIOA::ptr()).bsrr().write(|w| w.bits(bits)),
-                Port::B => (*GPIOB::ptr()).bsrr().write(|w| w.bits(bits)),
+            match self {
+                Self::A(_) => (*GPIOA::ptr()).bsrr().write(|w| w.bits(bits)),
+                Self::B(_) => (*GPIOB::ptr()).bsrr().write(|w| w.bits(bits)),
             }
         };
     }
@@ -95,12 +95,12 @@ impl Pin {
     #[inline(always)]
     pub fn is_high(self) -> bool {
         // SAFETY: a read of the input register, which has no side effect.
-        let levels = unsafe {
-            match self.port {
-                Port::A => (*GPIOA::ptr()).idr().read().bits(),
-                Port::B => (*GPIOB::ptr()).idr().read().bits(),
+        let (levels, number) = unsafe {
+            match self {
+                Self::A(number) => ((*GPIOA::ptr()).idr().read().bits(), number),
+                Self::B(number) => ((*GPIOB::ptr()).idr().read().bits(), number),
             }
         };
-        levels & 1 << self.number != 0
+        levels & 1 << number != 0
     }
 }

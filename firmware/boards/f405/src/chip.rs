@@ -62,7 +62,6 @@ mod tests {
     extern crate std;
 
     use super::*;
-    use crate::chip;
     use foretorque_link::wire::size;
     use std::format;
 
@@ -75,51 +74,29 @@ mod tests {
     #[test]
     fn the_protocol_page_states_headroom_and_interrupt_cost() {
         let page = include_str!("../../../../docs/protocol.md");
-        let permille = |bytes| size::headroom_permille(bytes, 1000, chip::LINK_BYTES_S);
-        for (name, bytes) in [
-            ("request, 6 joints", size::sample(6)),
-            ("request, 7 joints", size::sample(7)),
-            ("reply, 6 joints", size::torque(6)),
-            ("reply, 7 joints", size::torque(7)),
-            ("full reply, 6 joints", size::full_torque(6)),
-            ("full reply, 7 joints", size::full_torque(7)),
-            ("reply with motion, 6 joints", size::excited(6)),
-            ("reply with motion, 7 joints", size::excited(7)),
-        ] {
-            let headroom = permille(bytes);
-            let wanted = format!(
-                "| {name} | {bytes} | {}.{} % |",
-                headroom / 10,
-                headroom % 10
-            );
-            assert_eq!(row(page, &format!("| {name} |")), wanted);
-        }
         let heading = page.find("| receive interrupt |").unwrap();
-        for (name, joints) in [("request, 6 joints", 6), ("request, 7 joints", 7)] {
-            let share = receive_permille(size::sample(joints), 1000);
-            let wanted = format!(
-                "| {name} | ≤ {} | {} | {}.{} % |",
-                chip::RECEIVE_INSTRUCTIONS,
-                chip::RECEIVE_INSTRUCTIONS + chip::RECEIVE_OVERHEAD,
-                share / 10,
-                share % 10
-            );
-            assert_eq!(row(&page[heading..], &format!("| {name} |")), wanted);
-        }
-        for (name, joints) in [("six", 6), ("seven", 7)] {
-            let bytes = size::sample(joints) + size::full_torque(joints);
-            let share = receive_permille(bytes, 1000);
-            let sums = format!(
-                "({} + {}) × {}",
-                size::sample(joints),
-                size::full_torque(joints),
-                chip::RECEIVE_INSTRUCTIONS + chip::RECEIVE_OVERHEAD
-            );
-            let told = format!("{}.{} %", share / 10, share % 10);
-            assert!(
-                page.contains(&sums) && page.contains(&told),
-                "{name}: {sums}, {told}"
-            );
+        let percent = |permille: i64| format!("{}.{} %", permille / 10, permille % 10);
+        let share = |bytes| percent(receive_permille(bytes, 1000) as i64);
+        let counts = RECEIVE_INSTRUCTIONS + RECEIVE_OVERHEAD;
+        for joints in [6, 7] {
+            let (sample, reply) = (size::sample(joints), size::full_torque(joints));
+            for (kind, bytes) in [
+                ("request", sample),
+                ("reply", size::torque(joints)),
+                ("full reply", reply),
+                ("reply with motion", size::excited(joints)),
+            ] {
+                let name = format!("| {kind}, {joints} joints |");
+                let headroom = percent(headroom_permille(bytes, 1000, LINK_BYTES_S));
+                assert_eq!(row(page, &name), format!("{name} {bytes} | {headroom} |"));
+            }
+            let name = format!("| request, {joints} joints |");
+            let cost = format!("≤ {RECEIVE_INSTRUCTIONS} | {counts} | {}", share(sample));
+            assert_eq!(row(&page[heading..], &name), format!("{name} {cost} |"));
+            let sums = format!("({sample} + {reply}) × {counts}");
+            for told in [sums, share(sample + reply)] {
+                assert!(page.contains(&told), "{joints} joints: {told}");
+            }
         }
     }
 }

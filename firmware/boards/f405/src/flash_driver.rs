@@ -205,10 +205,8 @@ mod tests {
             } else if bits & CR_START != 0 {
                 let sector = bits >> 3 & 0xF;
                 assert_eq!(bits & (CR_ERASE | CR_WORD), CR_ERASE | CR_WORD);
-                assert!(
-                    (10..12).contains(&sector),
-                    "sector {sector} is not the store's"
-                );
+                let own = (10..12).contains(&sector);
+                assert!(own, "sector {sector} is not the store's");
                 fake.sectors.push(sector);
                 if fake.end() {
                     let start = (sector as usize - 10) * STORE_SECTOR_BYTES;
@@ -265,10 +263,8 @@ mod tests {
             flash.read(0, &mut read).unwrap();
             assert_eq!(read[4..], [5, 6, 7, 8]);
             let fake = flash.registers.0.get_mut();
-            assert_eq!(
-                (&fake.sectors[..], fake.control),
-                (&[10, 11, 11][..], CR_LOCK)
-            );
+            assert_eq!(fake.sectors, [10, 11, 11]);
+            assert_eq!(fake.control, CR_LOCK);
         }
     }
 

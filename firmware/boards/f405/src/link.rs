@@ -96,14 +96,12 @@ impl Wire {
                 add(&RECEIVED.overruns, 1);
             }
             let taken = self.received.put(byte);
-            add(
-                if taken {
-                    &RECEIVED.bytes
-                } else {
-                    &RECEIVED.lost
-                },
-                1,
-            );
+            let counter = if taken {
+                &RECEIVED.bytes
+            } else {
+                &RECEIVED.lost
+            };
+            add(counter, 1);
             delimiter = byte == 0;
             if delimiter {
                 ENDED_AT.store(start, Ordering::Relaxed);
@@ -180,11 +178,9 @@ pub fn losses() -> u32 {
 
 /// Adds without a lock: there is one writer.
 #[inline(always)]
-fn add(counter: &AtomicU32, amount: u32) {
-    counter.store(
-        counter.load(Ordering::Relaxed).wrapping_add(amount),
-        Ordering::Relaxed,
-    );
+pub(crate) fn add(counter: &AtomicU32, amount: u32) {
+    let sum = counter.load(Ordering::Relaxed).wrapping_add(amount);
+    counter.store(sum, Ordering::Relaxed);
 }
 
 /// Takes the cost of one byte; its own is not in it.

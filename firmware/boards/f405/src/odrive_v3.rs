@@ -5,7 +5,7 @@ use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::board::{Board, Pin, Port, Ports};
+use crate::board::{Board, Pin, Ports, start_link};
 use crate::drive::EnableOnly;
 
 /// The board.
@@ -16,16 +16,9 @@ impl Board for OdriveV3 {
     /// Boards of this class carry 8 MHz.
     const CRYSTAL_HZ: u32 = 8_000_000;
     /// PB12, pulled low on the board (EN_GATE of a DRV8301).
-    const ENABLE: Pin = Pin {
-        port: Port::B,
-        number: 12,
-    };
-
+    const ENABLE: Pin = Pin::B(12);
     /// PA1, which the connector calls GPIO 2.
-    const BRAKE: Option<Pin> = Some(Pin {
-        port: Port::A,
-        number: 1,
-    });
+    const BRAKE: Option<Pin> = Some(Pin::A(1));
 
     type Drive = EnableOnly<Self>;
 
@@ -35,9 +28,6 @@ impl Board for OdriveV3 {
         let b = ports.b.split(rcc);
         b.pb12.into_push_pull_output_in_state(PinState::Low);
         a.pa1.into_push_pull_output_in_state(PinState::Low);
-        // Alternate function 7 is USART2 (DS8626 table 9).
-        a.pa2.into_alternate::<7>();
-        // Held high while nothing is plugged in: an open line is full of start bits.
-        a.pa3.into_alternate::<7>().internal_pull_up(true);
+        start_link(a.pa2, a.pa3);
     }
 }

@@ -6,7 +6,7 @@ use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::board::{Board, Pin, Port, Ports};
+use crate::board::{Board, Pin, Ports, start_link};
 use crate::drive::EnableOnly;
 
 /// The board.
@@ -18,16 +18,9 @@ impl Board for Pyboard {
     const CRYSTAL_HZ: u32 = 12_000_000;
     /// PB8, the card's Y3. The card pulls it nowhere: give the drive's input a pull-down of 10 kΩ, or torque is enabled
     /// while the chip is in reset.
-    const ENABLE: Pin = Pin {
-        port: Port::B,
-        number: 8,
-    };
-
+    const ENABLE: Pin = Pin::B(8);
     /// PB10, the card's Y9.
-    const BRAKE: Option<Pin> = Some(Pin {
-        port: Port::B,
-        number: 10,
-    });
+    const BRAKE: Option<Pin> = Some(Pin::B(10));
 
     type Drive = EnableOnly<Self>;
 
@@ -37,9 +30,6 @@ impl Board for Pyboard {
         let b = ports.b.split(rcc);
         b.pb8.into_push_pull_output_in_state(PinState::Low);
         b.pb10.into_push_pull_output_in_state(PinState::Low);
-        // Alternate function 7 is USART2 (DS8626 table 9).
-        a.pa2.into_alternate::<7>();
-        // Held high while nothing is plugged in: an open line is full of start bits.
-        a.pa3.into_alternate::<7>().internal_pull_up(true);
+        start_link(a.pa2, a.pa3);
     }
 }

@@ -8,6 +8,8 @@ use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
 use foretorque_link::wire::{Configuration, Pacing};
 
+use crate::link::add;
+
 /// A timer tick waits to be run.
 static DUE: AtomicBool = AtomicBool::new(false);
 /// Timer ticks that came while another one still waited.
@@ -67,10 +69,7 @@ impl TickTimer {
 /// The timer's interrupt.
 pub(crate) fn elapsed() {
     if DUE.swap(true, Ordering::Relaxed) {
-        MISSED.store(
-            MISSED.load(Ordering::Relaxed).wrapping_add(1),
-            Ordering::Relaxed,
-        );
+        add(&MISSED, 1);
     }
 }
 

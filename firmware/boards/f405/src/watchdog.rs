@@ -8,6 +8,7 @@ use foretorque_link::safety::TaskCheckIn;
 use stm32f4xx_hal::pac::IWDG;
 
 use crate::chip;
+use crate::link::add;
 
 /// Who has answered since the watchdog was fed last.
 pub(crate) static TASKS: TaskCheckIn = TaskCheckIn::new();
@@ -68,10 +69,7 @@ impl Watchdog {
 
     fn feed(&self) {
         self.key(FEED);
-        FEEDS.store(
-            FEEDS.load(Ordering::Relaxed).wrapping_add(1),
-            Ordering::Relaxed,
-        );
+        add(&FEEDS, 1);
     }
 
     fn key(&self, key: u16) {

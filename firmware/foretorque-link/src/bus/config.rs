@@ -1,4 +1,4 @@
-use crate::drives::{Contradiction, DriveProfile, Protocol, Ranges, Scale};
+use crate::drives::{Contradiction, DriveProfile, Protocol, Scale};
 use crate::safety::SafetyLimits;
 use foretorque::arm::{Arm, JointLimits};
 use foretorque::learning::LearnerConfig;
@@ -113,7 +113,7 @@ impl BusJoint {
                 return Err(Contradiction::new(field, gain, "the least value", 0.0));
             }
         }
-        let Some(ranges) = self.ranges() else {
+        let Some(ranges) = drive.protocol.ranges() else {
             return Ok(());
         };
         let square = drive.gear * drive.gear;
@@ -143,21 +143,10 @@ impl BusJoint {
         Ok(())
     }
 
-    fn ranges(&self) -> Option<Ranges> {
-        match self.drive.protocol {
-            Protocol::MiniCheetah(ranges)
-            | Protocol::Damiao(ranges)
-            | Protocol::CyberGear(ranges)
-            | Protocol::RobStride(ranges) => Some(ranges),
-            _ => None,
-        }
-    }
-
     /// Step of the reported position, rad; 0 where the reply is finer than an encoder.
     pub fn position_resolution(&self) -> f32 {
-        self.ranges().map_or(0.0, |ranges| {
-            2.0 * ranges.position / 65535.0 / self.drive.gear
-        })
+        let ranges = self.drive.protocol.ranges();
+        ranges.map_or(0.0, |it| 2.0 * it.position / 65535.0 / self.drive.gear)
     }
 
     /// The drive reports a limit in the place of the scale of its torque.
@@ -170,16 +159,17 @@ impl BusJoint {
 
     /// Scale of the profile, in the unit in which the drive reports it.
     pub(super) fn scale(&self, scale: Scale) -> Option<f32> {
+        let ranges = self.drive.protocol.ranges();
         match (self.drive.protocol, scale) {
             (Protocol::Odrive(odrive), Scale::Torque) => Some(odrive.torque_scale),
             (Protocol::Cia402(cia402), Scale::Torque) => Some(cia402.rated_torque),
-            (_, Scale::Position) => self.ranges().map(|ranges| ranges.position),
-            (_, Scale::Velocity) => self.ranges().map(|ranges| ranges.velocity),
+            (_, Scale::Position) => ranges.map(|ranges| ranges.position),
+            (_, Scale::Velocity) => ranges.map(|ranges| ranges.velocity),
             // These report a limit, which the loop must not exceed, and not the scale of the frame.
             (Protocol::CyberGear(_) | Protocol::RobStride(_), Scale::Torque) => {
                 Some(self.drive.torque_limit / self.drive.gear)
             }
-            (_, Scale::Torque) => self.ranges().map(|ranges| ranges.torque),
+            (_, Scale::Torque) => ranges.map(|ranges| ranges.torque),
         }
     }
 }

@@ -224,7 +224,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         request: Request,
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), RequestPending> {
-        self.feed_forward.request(request, mailbox.exchange())
+        self.feed_forward.request(request, &mut mailbox.exchange)
     }
 
     /// Takes a frame that has arrived; foreign frames are counted.
@@ -279,7 +279,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         mut send: impl FnMut(u8, &Frame),
     ) -> BusTick<N> {
         self.safety.period();
-        self.feed_forward.adopt(mailbox.exchange());
+        self.feed_forward.adopt(&mut mailbox.exchange);
         let mut measured = JointMeasurement::zero();
         let measured = self.drives.measure(&mut measured).then_some(measured);
         for (joint, celsius) in self.drives.temperatures() {

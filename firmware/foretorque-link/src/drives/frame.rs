@@ -27,14 +27,14 @@ impl Frame {
     /// Largest extended identifier.
     pub const EXTENDED_MAX: u32 = 0x1fff_ffff;
 
-    /// Classic frame with an identifier of 11 bits, cut to them; bytes beyond [`Self::CAPACITY`] are left out.
+    /// [`new`](Self::new) with an identifier of 11 bits.
     pub fn standard(id: u32, bytes: &[u8]) -> Self {
-        Self::new(id & Self::STANDARD_MAX, false, bytes)
+        Self::new(id, false, bytes)
     }
 
-    /// Classic frame with an identifier of 29 bits, cut to them; bytes beyond [`Self::CAPACITY`] are left out.
+    /// [`new`](Self::new) with an identifier of 29 bits.
     pub fn extended(id: u32, bytes: &[u8]) -> Self {
-        Self::new(id & Self::EXTENDED_MAX, true, bytes)
+        Self::new(id, true, bytes)
     }
 
     /// Remote frame with an identifier of 11 bits, cut to them.
@@ -64,11 +64,17 @@ impl Frame {
         self
     }
 
-    fn new(id: u32, extended: bool, bytes: &[u8]) -> Self {
+    /// Classic frame; the identifier is cut to its bits, and bytes beyond [`Self::CAPACITY`] are left out.
+    pub fn new(id: u32, extended: bool, bytes: &[u8]) -> Self {
+        let most = if extended {
+            Self::EXTENDED_MAX
+        } else {
+            Self::STANDARD_MAX
+        };
         let mut data = [0; Self::CAPACITY];
         copy(&mut data, bytes);
         Self {
-            id,
+            id: id & most,
             extended,
             fd: false,
             remote: false,

@@ -186,10 +186,7 @@ impl Codec<'_> {
         put(&mut bytes, &[REPLY | 2, TEMPERATURE as u8]);
         put(&mut bytes, &[celsius as u8, fault]);
         let id = u32::from(self.drive.id & 0x7f) << 8 | u32::from(self.drive.host_id & 0x7f);
-        let frame = match id > Frame::STANDARD_MAX {
-            true => Frame::extended(id, &bytes),
-            false => Frame::standard(id, &bytes),
-        };
+        let frame = Frame::new(id, id > Frame::STANDARD_MAX, &bytes);
         push(frames, frame.into_fd(NOP));
     }
 

@@ -43,6 +43,19 @@ pub enum Protocol {
     Cia402(Cia402),
 }
 
+impl Protocol {
+    /// Scales of a frame with packed integers.
+    pub(crate) const fn ranges(&self) -> Option<&Ranges> {
+        match self {
+            Self::MiniCheetah(ranges)
+            | Self::Damiao(ranges)
+            | Self::CyberGear(ranges)
+            | Self::RobStride(ranges) => Some(ranges),
+            Self::Moteus(_) | Self::Odrive(_) | Self::Cia402(_) => None,
+        }
+    }
+}
+
 /// Scales of a moteus drive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -250,16 +263,11 @@ impl DriveProfile {
     /// Largest torque at the joint that a frame carries, N·m.
     pub fn largest_torque(&self) -> f32 {
         let drive = match self.protocol {
-            Protocol::MiniCheetah(r)
-            | Protocol::Damiao(r)
-            | Protocol::CyberGear(r)
-            | Protocol::RobStride(r) => r.torque,
-            Protocol::Moteus(_) => 1e4,
             Protocol::Odrive(o) if o.mode == ControlMode::Position => {
                 f32::from(i16::MAX) / o.torque_scale
             }
-            Protocol::Odrive(_) => 1e4,
             Protocol::Cia402(c) => f32::from(i16::MAX) * 1e-3 * c.rated_torque,
+            _ => self.protocol.ranges().map_or(1e4, |ranges| ranges.torque),
         };
         drive * self.gear
     }

@@ -40,43 +40,31 @@ const fn cia402(mode: ControlMode) -> Protocol {
 
 /// Step of position, velocity, torque, kp and kd of each protocol; infinite where the command does not carry it.
 pub(super) const PROTOCOLS: [(Protocol, [f32; 5]); 13] = {
+    use {ControlMode::*, Resolution::*};
     const NO: f32 = f32::INFINITY;
     const fn steps(position: f32, others: f32) -> [f32; 5] {
-        let [p, v, t, kp, kd] = [25.0, 60.0, 20.0, 500.0, 5.0];
-        [
-            p / position,
-            v / others,
-            t / others,
-            kp / others,
-            kd / others,
-        ]
+        let [v, t, kp, kd] = [60.0 / others, 20.0 / others, 500.0 / others, 5.0 / others];
+        [25.0 / position, v, t, kp, kd]
     }
     const MIT: [f32; 5] = steps(65535.0, 4095.0);
     const FINE: [f32; 5] = steps(65535.0, 65535.0);
+    const SHORT: [f32; 5] = [1e-4 * TURN, 2.5e-4 * TURN, 0.01, 0.02, 2e-4];
+    const LONG: [f32; 5] = [1e-5 * TURN, 1e-5 * TURN, 0.001, 1e-4, 1e-6];
     const COUNT: f32 = TURN / 1_048_576.0;
     [
         (Protocol::MiniCheetah(RANGES), MIT),
         (Protocol::Damiao(RANGES), MIT),
         (Protocol::CyberGear(RANGES), FINE),
         (Protocol::RobStride(RANGES), FINE),
-        (
-            moteus(Resolution::Int16),
-            [1e-4 * TURN, 2.5e-4 * TURN, 0.01, 0.02, 2e-4],
-        ),
-        (
-            moteus(Resolution::Int32),
-            [1e-5 * TURN, 1e-5 * TURN, 0.001, 1e-4, 1e-6],
-        ),
-        (moteus(Resolution::F32), [0.0; 5]),
-        (
-            odrive(ControlMode::Position),
-            [0.0, 1e-3 * TURN, 1e-3, NO, NO],
-        ),
-        (odrive(ControlMode::Velocity), [NO, 0.0, 0.0, NO, NO]),
-        (odrive(ControlMode::Torque), [NO, NO, 0.0, NO, NO]),
-        (cia402(ControlMode::Position), [COUNT, NO, 0.012, NO, NO]),
-        (cia402(ControlMode::Velocity), [NO, COUNT, 0.012, NO, NO]),
-        (cia402(ControlMode::Torque), [NO, NO, 0.012, NO, NO]),
+        (moteus(Int16), SHORT),
+        (moteus(Int32), LONG),
+        (moteus(F32), [0.0; 5]),
+        (odrive(Position), [0.0, 1e-3 * TURN, 1e-3, NO, NO]),
+        (odrive(Velocity), [NO, 0.0, 0.0, NO, NO]),
+        (odrive(Torque), [NO, NO, 0.0, NO, NO]),
+        (cia402(Position), [COUNT, NO, 0.012, NO, NO]),
+        (cia402(Velocity), [NO, COUNT, 0.012, NO, NO]),
+        (cia402(Torque), [NO, NO, 0.012, NO, NO]),
     ]
 };
 
@@ -199,10 +187,7 @@ fn torque_has_no_bias() {
     for (protocol, _) in PROTOCOLS {
         for torque in [0.0, 0.0013, -1.23456] {
             let (profile, mut carry, count) = (profile(protocol), Carry::default(), 4096);
-            let command = JointCommand {
-                torque,
-                ..JointCommand::default()
-            };
+            let command = motion([0.0, 0.0, torque, 0.0, 0.0]);
             let mut sum = 0.0;
             for _ in 0..count {
                 match sent(&profile, &command, &mut carry).1 {
@@ -211,10 +196,8 @@ fn torque_has_no_bias() {
                 }
             }
             let mean = sum / f64::from(count);
-            assert!(
-                (mean - f64::from(torque)).abs() < 1e-5,
-                "{protocol:?}: {mean} of {torque}"
-            );
+            let bias = mean - f64::from(torque);
+            assert!(bias.abs() < 1e-5, "{protocol:?}: {mean} of {torque}");
         }
     }
 }
@@ -222,10 +205,7 @@ fn torque_has_no_bias() {
 #[test]
 fn values_that_are_not_finite_take_the_torque_off() {
     for (protocol, _) in PROTOCOLS {
-        let command = JointCommand {
-            kd: f32::NAN,
-            ..JointCommand::default()
-        };
+        let command = motion([0.0, 0.0, 0.0, 0.0, f32::NAN]);
         let (flags, request) = sent(&profile(protocol), &command, &mut Carry::default());
         assert_eq!(flags, Saturation::REFUSED);
         let off = Some(Request::Order(Order::Disable));
@@ -294,10 +274,8 @@ fn lines_of_text_come_back() {
     let command = Frame::extended(0x8001, &bytes);
     let line = text::write_line(&command.into_fd(0x50), text::Direction::Send);
     // The line of the Python client moteus 1.1.1.
-    assert_eq!(
-        &line[..],
-        b"can send 8001 01000A07208813A00F7D001701505050 BF *18\n"
-    );
+    let known = b"can send 8001 01000A07208813A00F7D001701505050 BF *18\n";
+    assert_eq!(line, known);
     for frame in [
         command.into_fd(0x50),
         Frame::standard(0x100, &[1, 2]),

@@ -96,11 +96,7 @@ pub fn read_line(line: &[u8]) -> Option<Frame> {
     if id > Frame::EXTENDED_MAX || data.len() > 8 && !fd {
         return None;
     }
-    let frame = if extended {
-        Frame::extended(id, &data)
-    } else {
-        Frame::standard(id, &data)
-    };
+    let frame = Frame::new(id, extended, &data);
     Some(if fd { frame.into_fd(0x50) } else { frame })
 }
 

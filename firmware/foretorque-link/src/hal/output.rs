@@ -225,14 +225,12 @@ mod tests {
             (Dac8552A, -0.5, vec![0x10, 0x40, 0x00]),
             (Dac8552B, 1.0, vec![0x24, 0xff, 0xff]),
         ] {
-            let mut output = SpiDac::new(
-                Mock::new(&[
-                    Transaction::transaction_start(),
-                    Transaction::write_vec(frame),
-                    Transaction::transaction_end(),
-                ]),
-                model,
+            let (start, end) = (
+                Transaction::transaction_start(),
+                Transaction::transaction_end(),
             );
+            let bus = Mock::new(&[start, Transaction::write_vec(frame), end]);
+            let mut output = SpiDac::new(bus, model);
             output.command(level).unwrap();
             output.release().done();
         }
@@ -255,11 +253,8 @@ mod tests {
 
     #[test]
     fn a_failing_bus_is_reported() {
-        let mut output = SpiDac::new(Gone, DacModel::Dac8552A);
-        assert_eq!(
-            output.command(0.1),
-            Err(OutputError::Bus(ErrorKind::ModeFault))
-        );
+        let failed = SpiDac::new(Gone, DacModel::Dac8552A).command(0.1);
+        assert_eq!(failed, Err(OutputError::Bus(ErrorKind::ModeFault)));
     }
 
     fn commanded(levels: &[f32], duties: &[Duty], pins: &[Set]) -> Vec<Result<(), OutputError>> {

@@ -59,11 +59,12 @@ impl<const N: usize, const P: usize> Mailboxes<N, P> {
 /// Mailbox between tick and learner: learning samples one way, learnt sets the other.
 pub struct LearnerMailbox<const N: usize, const P: usize> {
     samples: Queue<LearningSample<N>, 16>,
-    pub(super) exchange: Exchange<N, P>,
+    /// Sets on their way between tick and learner.
+    pub(crate) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
     /// The reply of a tick waits for its learning step.
     held: bool,
-    samples_lost: u32,
+    pub(super) samples_lost: u32,
     learn_cost: CostMeter,
 }
 
@@ -97,10 +98,6 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 
     pub(super) fn hold_reply(&mut self) {
         self.held = true;
-    }
-
-    pub(super) fn samples_lost(&self) -> u32 {
-        self.samples_lost
     }
 
     pub(super) fn learn_cost(&self) -> Cost {
@@ -155,11 +152,6 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         if self.samples.enqueue(sample).is_err() {
             self.samples_lost = self.samples_lost.saturating_add(1);
         }
-    }
-
-    /// Sets on their way between tick and learner.
-    pub(crate) fn exchange(&mut self) -> &mut Exchange<N, P> {
-        &mut self.exchange
     }
 
     /// Drops all samples and sets; the learner restarts from `set` at `period_s`.

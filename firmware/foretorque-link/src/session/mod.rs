@@ -205,7 +205,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             stale_ticks: ticks.stale,
             ticks: ticks.ticks,
             late_sets: self.feed_forward().state().late_sets,
-            learning_samples_lost: mailbox.samples_lost(),
+            learning_samples_lost: mailbox.samples_lost,
             tick_cost: ticks.cost.cost(),
             learn_cost: mailbox.learn_cost(),
             hottest_c: temperatures.fold(SampleFrame::<N>::NO_TEMPERATURE, i8::max),

@@ -233,13 +233,9 @@ impl<F: NorFlash> Store<F> {
             if !self.is_whole(record)? {
                 continue;
             }
-            let Header {
-                arm_hash: found,
-                bank_version,
-                ..
-            } = record.header;
+            let found = record.header.arm_hash;
             return Ok(if found == arm_hash {
-                StoreError::Version(bank_version)
+                StoreError::Version(record.header.bank_version)
             } else {
                 StoreError::WrongArm { found }
             });

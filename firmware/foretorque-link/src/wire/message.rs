@@ -9,7 +9,6 @@ use crate::excitation::{ExcitationCommand, ExcitationError, ExcitationState};
 use crate::safety::SafetyReason;
 use crate::store::StoreError;
 use crate::telemetry::Statistics;
-use core::fmt;
 use serde::{Deserialize, Serialize};
 
 /// Parameters to read.
@@ -182,84 +181,50 @@ pub enum BoardMessage<const N: usize> {
     Excited(ExcitedFrame<N>),
 }
 
-/// Reason of a refusal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum NackReason {
-    /// Only while learning is off.
-    LearningOn,
-    /// The board lacks this capability.
-    NotCapable,
-    /// The period is outside [`Configuration::PERIODS_US`], or shorter than the clock of this board sustains.
-    Period,
-    /// The chunk does not follow the one before.
-    Gap {
-        /// Offset of the next byte expected.
-        #[serde(with = "postcard::fixint::le")]
-        expected: u16,
-    },
-    /// The upload exceeds the board's buffer.
-    TooLong,
-    /// Length or checksum differ from those announced.
-    Checksum,
-    /// The bank does not fit this board.
-    Bank(BankError),
-    /// Only while disarmed, with the torque at zero.
-    Armed,
-    /// Safety refuses, for this reason.
-    Unsafe(SafetyReason),
-    /// An earlier request is not done yet.
-    Busy,
-    /// The board has a write key, and signature or permission are missing or wrong.
-    Key,
-    /// The store failed; the board runs on from RAM.
-    Store(StoreError),
-    /// Exceeds the link budget.
-    Bandwidth {
-        /// Smallest admissible interval, ticks; 0 is never.
-        #[serde(with = "postcard::fixint::le")]
-        every: u16,
-    },
-    /// The excitation cannot be played, or not now.
-    Excitation(ExcitationError),
-    /// Too soon after the last save, or after a restart of the firmware: the flash would wear out.
-    Wait {
-        /// Time until a save is accepted, s.
-        seconds: u8,
-    },
-    /// The brakes take longer to close than [`Configuration::MAX_BRAKE_CLOSE_MS`].
-    Brake,
-}
+/// Longest time that brakes may take to close, ms.
+const MOST_MS: u16 = Configuration::MAX_BRAKE_CLOSE_MS;
 
-impl fmt::Display for NackReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::LearningOn => f.write_str("only while learning is off"),
-            Self::NotCapable => f.write_str("the board lacks this capability"),
-            Self::Period => f.write_str("period out of range"),
-            Self::Gap { expected } => write!(f, "chunk out of order, byte {expected} is next"),
-            Self::TooLong => f.write_str("parameter bank too long"),
-            Self::Checksum => f.write_str("parameter bank damaged or incomplete"),
-            Self::Bank(error) => write!(f, "{error}"),
-            Self::Excitation(error) => write!(f, "{error}"),
-            Self::Wait { seconds } => write!(f, "the flash rests for {seconds} s more"),
-            Self::Brake => write!(
-                f,
-                "closing time of the brakes above {} ms",
-                Configuration::MAX_BRAKE_CLOSE_MS
-            ),
-            Self::Armed => f.write_str("only while disarmed"),
-            Self::Unsafe(reason) => write!(f, "{reason}"),
-            Self::Busy => f.write_str("busy with an earlier request"),
-            Self::Key => f.write_str("the write key's signature is missing or wrong"),
-            Self::Store(error) => write!(f, "{error}"),
-            Self::Bandwidth { every: 0 } => f.write_str("telemetry exceeds the link budget"),
-            Self::Bandwidth { every } => {
-                write!(
-                    f,
-                    "telemetry exceeds the link budget: every {every} ticks is possible"
-                )
-            }
-        }
+errors! {
+    /// Reason of a refusal.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+    pub enum NackReason {
+        LearningOn = "only while learning is off";
+        NotCapable = "the board lacks this capability";
+        /// ([`Configuration::PERIODS_US`], and as long as the clock of this board sustains.)
+        Period = "period out of range";
+        Gap {
+            /// Offset of the next byte expected.
+            #[serde(with = "postcard::fixint::le")]
+            expected: u16
+        } = "chunk out of order, byte {expected} is next";
+        /// (For the board's buffer; or another upload.)
+        TooLong = "parameter bank too long";
+        /// (Length or checksum differ from those announced.)
+        Checksum = "parameter bank damaged or incomplete";
+        /// (The bank does not fit this board.)
+        Bank(error: BankError) = "{error}";
+        /// (With the torque at zero.)
+        Armed = "only while disarmed";
+        /// (Safety refuses.)
+        Unsafe(reason: SafetyReason) = "{reason}";
+        Busy = "busy with an earlier request";
+        /// (Or a permission is.)
+        Key = "the write key's signature is missing or wrong";
+        /// (The board runs on from RAM.)
+        Store(error: StoreError) = "{error}";
+        Bandwidth {
+            /// Smallest admissible interval, ticks; 0 is never.
+            #[serde(with = "postcard::fixint::le")]
+            every: u16; 0 = "telemetry exceeds the link budget"
+        } = "telemetry exceeds the link budget: every {every} ticks is possible";
+        /// (It cannot be played, or not now.)
+        Excitation(error: ExcitationError) = "{error}";
+        /// (Too soon after the last save, or after a restart of the firmware: the flash would wear out.)
+        Wait {
+            /// Time until a save is accepted, s.
+            seconds: u8
+        } = "the flash rests for {seconds} s more";
+        Brake = "closing time of the brakes above {MOST_MS} ms";
     }
 }

@@ -68,16 +68,13 @@ fn moteus(resolution: Resolution, values: [f64; 5]) -> Sent {
     };
     let mut data = vec![1, 0, 10, form, 5, 0x20];
     for (place, value) in values.into_iter().enumerate() {
+        let code = |steps: [f64; 5], most: i32| {
+            (value / steps[place]).clamp((-most).into(), most.into()) as i32
+        };
         match resolution {
             Resolution::F32 => data.extend((value as f32).to_le_bytes()),
-            Resolution::Int32 => {
-                let most = 2_147_483_647.0;
-                data.extend(((value / INT32[place]).clamp(-most, most) as i32).to_le_bytes());
-            }
-            Resolution::Int16 => {
-                let code = (value / INT16[place]).clamp(-32767.0, 32767.0) as i16;
-                data.extend(code.to_le_bytes());
-            }
+            Resolution::Int32 => data.extend(code(INT32, i32::MAX).to_le_bytes()),
+            Resolution::Int16 => data.extend((code(INT16, 32767) as i16).to_le_bytes()),
         }
     }
     data.extend([0x0d, 0x27]);

@@ -22,16 +22,20 @@ pub struct RigidBodies {
     coupling: Option<Coupling>,
 }
 
-/// World-frame kinematics of all links. `rot[k]` maps link k coordinates into the world, `axis[k]` is joint axis k,
-/// `origin[k]` a point on it; accelerations of the origins carry −g.
-struct Kinematics {
-    rot: [Matrix3<f64>; MAX_JOINTS],
-    axis: [Vector3<f64>; MAX_JOINTS],
-    origin: [Vector3<f64>; MAX_JOINTS],
-    omega: [Vector3<f64>; MAX_JOINTS],
-    alpha: [Vector3<f64>; MAX_JOINTS],
-    acceleration: [Vector3<f64>; MAX_JOINTS],
+/// World-frame kinematics of one link. `rot` maps its coordinates into the world, `axis` is the axis of its joint, `origin` a
+/// point on it; the acceleration of the origin carries −g.
+#[derive(Clone, Copy, Default)]
+struct LinkMotion {
+    rot: Matrix3<f64>,
+    axis: Vector3<f64>,
+    origin: Vector3<f64>,
+    omega: Vector3<f64>,
+    alpha: Vector3<f64>,
+    acceleration: Vector3<f64>,
 }
+
+/// That of all links.
+type Kinematics = [LinkMotion; MAX_JOINTS];
 
 impl RigidBodies {
     /// The bodies of a robot.
@@ -87,18 +91,18 @@ impl RigidBodies {
         let (count, kinematics) = (self.joints(), self.kinematics(motion));
         mass.fill(0.0);
         for (k, body) in self.bodies.iter().enumerate() {
-            let rot = &kinematics.rot[k];
-            let com = kinematics.origin[k] + rot * body.link.com;
+            let rot = &kinematics[k].rot;
+            let com = kinematics[k].origin + rot * body.link.com;
             let inertia = rot * body.link.inertia_com * rot.transpose();
             let mut partial = [Vector3::zeros(); MAX_JOINTS];
             for j in 0..=k {
-                let axis = &kinematics.axis[j];
-                partial[j] = axis.cross(&(com - kinematics.origin[j]));
+                let axis = &kinematics[j].axis;
+                partial[j] = axis.cross(&(com - kinematics[j].origin));
                 let momentum = body.link.mass * partial[j];
                 let spin = inertia * axis;
                 for i in 0..=j {
                     mass[i * count + j] +=
-                        partial[i].dot(&momentum) + kinematics.axis[i].dot(&spin);
+                        partial[i].dot(&momentum) + kinematics[i].axis.dot(&spin);
                 }
             }
         }
@@ -126,17 +130,17 @@ impl RigidBodies {
         let mut velocity = Vector3::zeros();
         for (k, body) in self.bodies.iter().enumerate() {
             if k > 0 {
-                let lever = kinematics.origin[k] - kinematics.origin[k - 1];
-                velocity += kinematics.omega[k - 1].cross(&lever);
+                let lever = kinematics[k].origin - kinematics[k - 1].origin;
+                velocity += kinematics[k - 1].omega.cross(&lever);
             }
-            let (rot, omega) = (&kinematics.rot[k], &kinematics.omega[k]);
+            let (rot, omega) = (&kinematics[k].rot, &kinematics[k].omega);
             let lever = rot * body.link.com;
             let speed = velocity + omega.cross(&lever);
             let spin = rot.transpose() * omega;
             energy += 0.5 * body.link.mass * speed.norm_squared()
                 + 0.5 * spin.dot(&(body.link.inertia_com * spin))
                 + 0.5 * body.rotor_inertia * motion.qd[k] * motion.qd[k]
-                - body.link.mass * self.gravity.dot(&(kinematics.origin[k] + lever));
+                - body.link.mass * self.gravity.dot(&(kinematics[k].origin + lever));
         }
         energy
     }
@@ -154,14 +158,14 @@ impl RigidBodies {
         let rotors = LINK_PARAMETERS * self.joints();
         let kinematics = self.kinematics(motion);
         for k in 0..self.joints() {
-            let world_to_link = kinematics.rot[k].transpose();
-            let a = world_to_link * kinematics.acceleration[k];
-            let w = world_to_link * kinematics.omega[k];
-            let alpha = world_to_link * kinematics.alpha[k];
+            let world_to_link = kinematics[k].rot.transpose();
+            let a = world_to_link * kinematics[k].acceleration;
+            let w = world_to_link * kinematics[k].omega;
+            let alpha = world_to_link * kinematics[k].alpha;
             let (force, moment) = unit_wrenches(&a, &w, &alpha);
             for j in 0..=k {
-                let axis = world_to_link * kinematics.axis[j];
-                let lever = world_to_link * (kinematics.origin[k] - kinematics.origin[j]);
+                let axis = world_to_link * kinematics[j].axis;
+                let lever = world_to_link * (kinematics[k].origin - kinematics[j].origin);
                 let partial = axis.cross(&lever);
                 for c in 0..LINK_PARAMETERS {
                     target[(first_row + j, LINK_PARAMETERS * k + c)] =
@@ -188,36 +192,23 @@ impl RigidBodies {
             coupling.to_joints(&mut motion.qd);
             coupling.to_joints(&mut motion.qdd);
         }
-        let zero = [Vector3::zeros(); MAX_JOINTS];
-        let mut out = Kinematics {
-            rot: [Matrix3::identity(); MAX_JOINTS],
-            axis: zero,
-            origin: zero,
-            omega: zero,
-            alpha: zero,
-            acceleration: zero,
-        };
-        let mut rot = Matrix3::identity();
-        let mut origin = Vector3::zeros();
-        let mut omega = Vector3::zeros();
-        let mut alpha = Vector3::zeros();
         // An arm at rest on a base that accelerates with −g has the same forces as one in the field g.
-        let mut acceleration = -self.gravity;
+        let mut now = LinkMotion {
+            rot: Matrix3::identity(),
+            acceleration: -self.gravity,
+            ..LinkMotion::default()
+        };
+        let mut out = [now; MAX_JOINTS];
         for (k, body) in self.bodies.iter().enumerate() {
-            let step = rot * body.placement.origin;
-            origin += step;
-            acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
+            let step = now.rot * body.placement.origin;
+            now.origin += step;
+            now.acceleration += now.alpha.cross(&step) + now.omega.cross(&now.omega.cross(&step));
             let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), motion.q[k]);
-            rot = rot * body.placement.rot_parent_child * turn.matrix();
-            let axis: Vector3<f64> = rot.column(2).into_owned();
-            alpha += axis * motion.qdd[k] + omega.cross(&axis) * motion.qd[k];
-            omega += axis * motion.qd[k];
-            out.rot[k] = rot;
-            out.axis[k] = axis;
-            out.origin[k] = origin;
-            out.omega[k] = omega;
-            out.alpha[k] = alpha;
-            out.acceleration[k] = acceleration;
+            now.rot = now.rot * body.placement.rot_parent_child * turn.matrix();
+            now.axis = now.rot.column(2).into_owned();
+            now.alpha += now.axis * motion.qdd[k] + now.omega.cross(&now.axis) * motion.qd[k];
+            now.omega += now.axis * motion.qd[k];
+            out[k] = now;
         }
         out
     }
@@ -226,10 +217,10 @@ impl RigidBodies {
     fn project(&self, kinematics: &Kinematics) -> PerJoint<f64> {
         let mut tau = PerJoint::repeat(self.joints(), 0.0);
         for (k, body) in self.bodies.iter().enumerate() {
-            let rot = &kinematics.rot[k];
-            let (omega, alpha) = (&kinematics.omega[k], &kinematics.alpha[k]);
+            let rot = &kinematics[k].rot;
+            let (omega, alpha) = (&kinematics[k].omega, &kinematics[k].alpha);
             let lever = rot * body.link.com;
-            let acceleration = kinematics.acceleration[k]
+            let acceleration = kinematics[k].acceleration
                 + alpha.cross(&lever)
                 + omega.cross(&omega.cross(&lever));
             let force = body.link.mass * acceleration;
@@ -237,10 +228,10 @@ impl RigidBodies {
             let moment = rot
                 * (body.link.inertia_com * (rot.transpose() * alpha)
                     + spin.cross(&(body.link.inertia_com * spin)));
-            let com = kinematics.origin[k] + lever;
+            let com = kinematics[k].origin + lever;
             for j in 0..=k {
-                let axis = &kinematics.axis[j];
-                let partial = axis.cross(&(com - kinematics.origin[j]));
+                let axis = &kinematics[j].axis;
+                let partial = axis.cross(&(com - kinematics[j].origin));
                 tau[j] += partial.dot(&force) + axis.dot(&moment);
             }
         }

@@ -64,10 +64,8 @@ fn power_of_the_torques_is_the_change_of_energy() {
             };
             let rate = (energy(h) - energy(-h)) / (2.0 * h);
             let power = state.qd.dot(&model.inverse_dynamics(&state));
-            assert!(
-                (rate - power).abs() < 1e-6 * (1.0 + power.abs()),
-                "{rate} {power}"
-            );
+            let near = (rate - power).abs() < 1e-6 * (1.0 + power.abs());
+            assert!(near, "{rate} {power}");
         }
     }
 }
@@ -122,11 +120,8 @@ fn drives_of_coupled_joints_carry_their_torques() {
     assert!((tau.rows(0, 4) - m.rows(0, 4)).amax() < 1e-12);
     assert!((tau[4] - (m[4] - m[5])).abs() < 1e-12 && tau[4].abs() > 0.01);
     assert!((tau[5] - (0.5 * m[4] + m[5])).abs() < 1e-12);
-    let text = coupled.to_toml().unwrap();
-    assert_eq!(
-        Robot::parse("again", &text).unwrap().coupling,
-        coupled.coupling
-    );
+    let again = Robot::parse("again", &coupled.to_toml().unwrap());
+    assert_eq!(again.unwrap().coupling, coupled.coupling);
 }
 
 #[test]
@@ -140,10 +135,7 @@ fn ur5_has_36_inertial_base_parameters_and_40_with_rotors() {
     // Link 1: Izz alone; each later link: mx, my, Ixx, Ixy, Ixz, Iyz, Izz.
     assert_eq!(map.columns[0], 6);
     for link in 1..6 {
-        let expected: Vec<usize> = [1, 2, 4, 6, 7, 8, 9]
-            .iter()
-            .map(|k| 10 * link + k)
-            .collect();
+        let expected = [1, 2, 4, 6, 7, 8, 9].map(|k| 10 * link + k);
         assert_eq!(map.columns[7 * link - 6..7 * link + 1], expected);
     }
 }
@@ -181,8 +173,6 @@ fn an_independent_pivoted_factorisation_finds_the_same_rank() {
     let singular = normal.symmetric_eigenvalues();
     let largest = singular.max();
     // Eigenvalues of WᵀW: the 40 seen ones lie above 1e-9 of the largest, the 26 blind ones at rounding.
-    assert_eq!(
-        singular.iter().filter(|s| **s > 1e-12 * largest).count(),
-        40
-    );
+    let seen = singular.iter().filter(|s| **s > 1e-12 * largest);
+    assert_eq!(seen.count(), 40);
 }

@@ -114,7 +114,10 @@ pub(super) fn parse(file: &str, text: &str) -> Result<Robot, Refusal> {
 
 /// Checks and converts a description.
 pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
-    let check = Check { file };
+    let check = Check {
+        file,
+        place: String::new(),
+    };
     check.that(
         Robot::is_name(&raw.name),
         "name",
@@ -134,10 +137,10 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     // The part of the previous link's DH row that precedes this joint's rotation.
     let mut link_end = Placement::identity();
     for (index, joint) in raw.joints.iter().enumerate() {
-        let at = |field: &str| format!("joints[{index}].{field}");
+        let check = check.inside(&format!("joints[{index}]."));
         let (placement, end) = match (&joint.dh, &joint.frame) {
             (Some(dh), None) => {
-                check.finite(&at("dh"), &[dh.d_m, dh.a_m, dh.alpha_rad])?;
+                check.finite("dh", &[dh.d_m, dh.a_m, dh.alpha_rad])?;
                 let placement = Placement {
                     origin: link_end.point(&Vector3::new(0.0, 0.0, dh.d_m)),
                     ..link_end
@@ -145,15 +148,13 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
                 (placement, dh_link_end(dh))
             }
             (None, Some(frame)) => {
-                let here = placement_of_frame(frame, &check, &at("frame"))?;
+                let here = placement_of_frame(frame, &check, "frame")?;
                 (link_end.then(&here), Placement::identity())
             }
-            _ => {
-                return Err(check.error(&at("dh"), "give exactly one of 'dh' and 'frame'"));
-            }
+            _ => return Err(check.error("dh", "give exactly one of 'dh' and 'frame'")),
         };
-        let link = link_in_craig_frame(&joint.link, &end, &check, &at)?;
-        check_numbers(joint, &check, &at)?;
+        let link = link_in_craig_frame(&joint.link, &end, &check.inside("link."))?;
+        check_numbers(joint, &check)?;
         joints.push(Joint {
             name: joint.name.clone(),
             placement,
@@ -161,7 +162,7 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
             drive: joint.drive,
             friction: joint.friction,
             limits: joint.limits,
-            capsules: capsules(&joint.capsules, &end, &check, &at)?,
+            capsules: capsules(&joint.capsules, &end, &check)?,
             link_name: joint.link_name.clone(),
             link_frame: Placement::identity(),
             dh_frame: joint.dh.is_some().then_some(end),
@@ -170,16 +171,16 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     }
     let flange = flange.map_or(link_end, |flange| link_end.then(&flange));
     if let (Some(tool), Some(last)) = (&raw.tool, joints.last_mut()) {
-        let at = |field: &str| format!("tool.{}", field.trim_start_matches("link."));
+        let check = check.inside("tool.");
         let body = LinkFile {
             mass_kg: tool.mass_kg,
             com_m: tool.com_m,
             inertia_kg_m2: tool.inertia_kg_m2,
         };
-        let body = link_in_craig_frame(&body, &flange, &check, &at)?;
+        let body = link_in_craig_frame(&body, &flange, &check)?;
         last.link = Link::lumped(&[last.link, body]).unwrap_or(last.link);
         last.capsules
-            .extend(capsules(&tool.capsules, &flange, &check, &at)?);
+            .extend(capsules(&tool.capsules, &flange, &check)?);
     }
     check.that(
         raw.workspace.table_height.is_none_or(f64::is_finite),
@@ -232,18 +233,14 @@ fn link_in_craig_frame(
     link: &LinkFile,
     end: &Placement,
     check: &Check<'_>,
-    at: &dyn Fn(&str) -> String,
 ) -> Result<Link, Refusal> {
     let i = &link.inertia_kg_m2;
-    check.positive(&at("link.mass_kg"), link.mass_kg)?;
-    check.finite(&at("link.com_m"), &link.com_m)?;
-    check.finite(
-        &at("link.inertia_kg_m2"),
-        &[i.xx, i.yy, i.zz, i.xy, i.xz, i.yz],
-    )?;
+    check.positive("mass_kg", link.mass_kg)?;
+    check.finite("com_m", &link.com_m)?;
+    check.finite("inertia_kg_m2", &[i.xx, i.yy, i.zz, i.xy, i.xz, i.yz])?;
     let inertia = Matrix3::new(i.xx, i.xy, i.xz, i.xy, i.yy, i.yz, i.xz, i.yz, i.zz);
     if let Some(problem) = Link::inertia_problem(&inertia) {
-        return Err(check.error(&at("link.inertia_kg_m2"), problem));
+        return Err(check.error("inertia_kg_m2", problem));
     }
     let in_dh_frame = Link {
         mass: link.mass_kg,
@@ -254,11 +251,7 @@ fn link_in_craig_frame(
 }
 
 /// Checks the numbers of drive, friction and limits.
-fn check_numbers(
-    joint: &JointFile,
-    check: &Check<'_>,
-    at: &dyn Fn(&str) -> String,
-) -> Result<(), Refusal> {
+fn check_numbers(joint: &JointFile, check: &Check<'_>) -> Result<(), Refusal> {
     let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
     for (field, value, positive) in [
         ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
@@ -282,31 +275,30 @@ fn check_numbers(
         ("limits.torque_nm", limits.torque, true),
     ] {
         if positive {
-            check.positive(&at(field), value)?;
+            check.positive(field, value)?;
         } else {
-            check.not_negative(&at(field), value)?;
+            check.not_negative(field, value)?;
         }
     }
     let bits = (8..=32).contains(&drive.encoder_bits);
-    check.that(bits, &at("drive.encoder_bits"), "must be 8 to 32")?;
+    check.that(bits, "drive.encoder_bits", "must be 8 to 32")?;
     let (lower, upper) = limits.position;
-    let field = at("limits.position_rad");
-    check.finite(&field, &[lower, upper])?;
-    check.that(lower < upper, &field, "lower end must be below upper end")
+    let field = "limits.position_rad";
+    check.finite(field, &[lower, upper])?;
+    check.that(lower < upper, field, "lower end must be below upper end")
 }
 
 fn capsules(
     capsules: &[CapsuleFile],
     end: &Placement,
     check: &Check<'_>,
-    at: &dyn Fn(&str) -> String,
 ) -> Result<Vec<Capsule>, Refusal> {
     capsules
         .iter()
         .map(|capsule| {
-            check.finite(&at("capsules"), &capsule.from_m)?;
-            check.finite(&at("capsules"), &capsule.to_m)?;
-            check.positive(&at("capsules.radius_m"), capsule.radius_m)?;
+            check.finite("capsules", &capsule.from_m)?;
+            check.finite("capsules", &capsule.to_m)?;
+            check.positive("capsules.radius_m", capsule.radius_m)?;
             let ends = [capsule.from_m, capsule.to_m];
             Ok(Capsule {
                 ends: ends.map(|point| end.point(&point.into())),
@@ -319,11 +311,21 @@ fn capsules(
 /// Turns a violated condition into an error that names file and field.
 struct Check<'a> {
     file: &'a str,
+    /// Names of the tables around the field, each with a point behind it.
+    place: String,
 }
 
 impl Check<'_> {
+    /// The check of the fields of `table`.
+    fn inside(&self, table: &str) -> Self {
+        Self {
+            file: self.file,
+            place: format!("{}{table}", self.place),
+        }
+    }
+
     fn error(&self, field: &str, problem: &str) -> Refusal {
-        Refusal::of(self.file, format!("{field}: {problem}"))
+        Refusal::of(self.file, format!("{}{field}: {problem}", self.place))
     }
 
     fn that(&self, condition: bool, field: &str, problem: &str) -> Result<(), Refusal> {

@@ -164,10 +164,8 @@ mod tests {
             }
             assert!(distance <= closest + 1e-12, "case {case}");
             // The grid misses the closest points by at most half a step on each segment.
-            assert!(
-                closest - distance < 0.04,
-                "case {case}: {closest} {distance}"
-            );
+            let near = closest - distance < 0.04;
+            assert!(near, "case {case}: {closest} {distance}");
         }
     }
 }

@@ -6,13 +6,11 @@ const UR5: &str = include_str!("../../../robots/ur5.toml");
 fn stretched_ur5_reaches_as_its_data_sheet_states() {
     // All joints at zero: x = a2 + a3, y = −d4 − d6, z = d1 − d5 (standard DH table of the UR5).
     let robot = Robot::load("ur5").unwrap();
-    let flange = robot
-        .joints
-        .iter()
-        .fold(Placement::identity(), |frame, joint| {
-            frame.then(&joint.placement)
-        })
-        .then(&robot.flange);
+    let mut flange = Placement::identity();
+    for joint in &robot.joints {
+        flange = flange.then(&joint.placement);
+    }
+    let flange = flange.then(&robot.flange);
     let expected = Vector3::new(-0.425 - 0.39225, -0.10915 - 0.0823, 0.089159 - 0.09465);
     assert!((flange.origin - expected).norm() < 1e-12, "{flange:?}");
 }
@@ -79,10 +77,8 @@ fn a_tool_becomes_part_of_the_last_link() {
         inertia_kg_m2 = { xx = 0.001, yy = 0.001, zz = 0.0005 }
         capsules = [{ from_m = [0.0, 0.0, 0.0], to_m = [0.0, 0.0, 0.1], radius_m = 0.04 }]
     ";
-    let (bare, with) = (
-        Robot::parse("t", UR5).unwrap(),
-        Robot::parse("t", &format!("{UR5}{tool}")).unwrap(),
-    );
+    let parsed = |text: &str| Robot::parse("t", text).unwrap();
+    let (bare, with) = (parsed(UR5), parsed(&format!("{UR5}{tool}")));
     let (own, lumped) = (&bare.joints[5].link, &with.joints[5].link);
     assert!((lumped.mass - 0.9879).abs() < 1e-12);
     let com: Vector3<f64> = (0.1879 * own.com + 0.8 * Vector3::new(0.0, 0.0, 0.05)) / 0.9879;
@@ -90,10 +86,8 @@ fn a_tool_becomes_part_of_the_last_link() {
     assert_eq!(bare.joints[..5], with.joints[..5]);
     assert_eq!(with.joints[5].capsules.len(), 2);
     // The flange of the UR5 is its last joint's frame.
-    assert_eq!(
-        with.joints[5].capsules[1].ends[1],
-        Vector3::new(0.0, 0.0, 0.1)
-    );
+    let end = with.joints[5].capsules[1].ends[1];
+    assert_eq!(end, Vector3::new(0.0, 0.0, 0.1));
     for (bad, message) in [
         ("mass_kg = -1", "t: tool.mass_kg: is -1, must be positive"),
         ("mass = 0.8", "unknown field `mass`"),
@@ -119,15 +113,9 @@ fn an_overlay_completes_the_file_beside_it() {
     let same = overlay("").unwrap();
     assert_eq!(same.joints[6].link_frame, below.joints[6].link_frame);
     let whole = crate::urdf::Selection::default();
-    let again = overlay(
-        below
-            .to_overlay("arm.urdf", &whole)
-            .unwrap()
-            .split_once('\n')
-            .unwrap()
-            .1,
-    );
-    assert_eq!(again.unwrap().joints, same.joints);
+    let written = below.to_overlay("arm.urdf", &whole).unwrap();
+    let (_, more) = written.split_once('\n').unwrap();
+    assert_eq!(overlay(more).unwrap().joints, same.joints);
     let changed = overlay(&format!(
         "tip = 'panda_link5'\nname = 'short'\n{joint}drive = {{ rotor_inertia_kg_m2 = 0.7 }}\nfriction.coulomb_nm = 3"
     ));
@@ -138,41 +126,28 @@ fn an_overlay_completes_the_file_beside_it() {
     assert_eq!(changed.joints[0].drive, same.joints[0].drive);
     assert_eq!(changed.joints[1].limits, same.joints[1].limits);
 
-    let coupling = "[coupling]\njoints = ['panda_joint2', 'panda_joint3']\nmatrix = ";
-    for (more, message) in [
-        (
-            "[[joints]]\nname = 'elbow'",
-            "joints[0].name: 'elbow' is not one of panda_joint1, ",
-        ),
-        (&*format!("{joint}{joint}"), "joints[1].name: comes twice"),
-        (
-            &*format!("{joint}drive = {{ rotor = 1 }}"),
-            "unknown field `rotor`, expected one of ",
-        ),
-        (&*format!("{joint}drive = 3"), "invalid type: integer `3`"),
-        ("weld = 3", "line 2: invalid type: integer `3`"),
-        ("link_mass_kg = -1", "link_mass_kg: must be positive"),
-        ("from = 'arm.urdf'", "line 2: duplicate key"),
-        (
-            &*format!("{coupling}[[1, 0], [1, 1]]"),
-            "coupling: joint 'panda_joint2' needs limits",
-        ),
-        (
-            &*format!("{coupling}[[1, 2], [2, 4]]"),
-            "coupling: the rows of matrix must be",
-        ),
-        (
-            &*format!("{coupling}[[1, 2]]"),
-            "coupling: matrix must have 2 rows of 2 numbers",
-        ),
-        (
-            "[coupling]\njoints = ['a']\nmatrix = [[1]]",
-            "coupling: no joint 'a'",
-        ),
-    ] {
-        let error = overlay(more).unwrap_err().to_string();
+    // Lines after the first, `/` between them, and the message.
+    let cases = "
+        [[joints]] / name = 'elbow' | joints[0].name: 'elbow' is not one of panda_joint1,
+        JOINT / JOINT | joints[1].name: comes twice
+        JOINT / drive = { rotor = 1 } | unknown field `rotor`, expected one of
+        JOINT / drive = 3 | invalid type: integer `3`
+        weld = 3 | line 2: invalid type: integer `3`
+        link_mass_kg = -1 | link_mass_kg: must be positive
+        from = 'arm.urdf' | line 2: duplicate key
+        COUPLING / matrix = [[1, 0], [1, 1]] | coupling: joint 'panda_joint2' needs limits
+        COUPLING / matrix = [[1, 2], [2, 4]] | coupling: the rows of matrix must be
+        COUPLING / matrix = [[1, 2]] | coupling: matrix must have 2 rows of 2 numbers
+        [coupling] / joints = ['a'] / matrix = [[1]] | coupling: no joint 'a'";
+    let coupling = "[coupling] / joints = ['panda_joint2', 'panda_joint3']";
+    let cases = cases.replace("JOINT", "[[joints]] / name = 'panda_joint2'");
+    for case in cases.replace("COUPLING", coupling).trim().lines() {
+        let (more, message) = case.split_once('|').unwrap();
+        let error = overlay(&more.trim().replace(" / ", "\n"))
+            .unwrap_err()
+            .to_string();
         let error = error.strip_prefix(&format!("{file}: ")).unwrap_or(&error);
-        assert!(error.starts_with(message), "{more}: {error}");
+        assert!(error.starts_with(message.trim()), "{more}: {error}");
     }
     let itself = Robot::parse(&file, "from = 'arm.toml'").unwrap_err();
     assert!(itself.to_string().ends_with("from: names this file itself"));

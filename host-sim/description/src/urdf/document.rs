@@ -117,19 +117,15 @@ pub(super) fn read(text: &str) -> Result<Document, String> {
     if root.descendants().any(is_macro) {
         return Err("contains xacro macros: expand them first (xacro FILE)".to_owned());
     }
-    let links = children(root, "link")
-        .map(link)
-        .collect::<Result<Vec<_>, _>>()?;
-    // Transmissions have <joint> elements too, but not directly under <robot>.
-    let joints = children(root, "joint")
-        .map(joint)
-        .collect::<Result<Vec<_>, _>>()?;
     let document = Document {
         name: root.attribute("name").unwrap_or_default().to_owned(),
         gravity: EARTH,
         notes: Vec::new(),
-        links,
-        joints,
+        links: children(root, "link").map(link).collect::<Result<_, _>>()?,
+        // Transmissions have <joint> elements too, but not directly under <robot>.
+        joints: children(root, "joint")
+            .map(joint)
+            .collect::<Result<_, _>>()?,
     };
     document.unique()
 }
@@ -154,17 +150,14 @@ fn unique<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), String> {
 }
 
 fn link(node: Node<'_, '_>) -> Result<LinkElement, String> {
-    let inertial = match child(node, "inertial") {
-        Some(inertial) => inertia(inertial)?,
-        None => None,
-    };
+    let inertial = child(node, "inertial").map(inertia);
     Ok(LinkElement {
+        inertial: inertial.transpose()?.flatten(),
         name: required(node, "name")?.to_owned(),
-        inertial,
     })
 }
 
-/// Mass distribution of an `<inertial>`, in the link frame; `None` when everything in it is zero.
+/// Mass distribution of an `<inertial>`, in the link frame.
 fn inertia(node: Node<'_, '_>) -> Result<Option<Link>, String> {
     let mass = number(required_child(node, "mass")?, "value")?;
     let tensor = required_child(node, "inertia")?;
@@ -172,10 +165,19 @@ fn inertia(node: Node<'_, '_>) -> Result<Option<Link>, String> {
     let (xx, yy, zz) = (entry("ixx")?, entry("iyy")?, entry("izz")?);
     let (xy, xz, yz) = (entry("ixy")?, entry("ixz")?, entry("iyz")?);
     let written = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-    if mass == 0.0 && written == Matrix3::zeros() {
+    body(mass, &written, || Ok(origin(node)?.0))
+}
+
+/// The body with a mass and a tensor written in the frame of its centre of mass; `None` when both are zero.
+pub(super) fn body(
+    mass: f64,
+    written: &Matrix3<f64>,
+    frame: impl FnOnce() -> Result<Placement, String>,
+) -> Result<Option<Link>, String> {
+    if mass == 0.0 && *written == Matrix3::zeros() {
         return Ok(None);
     }
-    let (frame, _) = origin(node)?;
+    let frame = frame()?;
     let rot = frame.rot_parent_child;
     Ok(Some(Link {
         mass,

@@ -7,7 +7,7 @@
 mod attributes;
 
 use super::document::{
-    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, child,
+    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, body, child,
     children, no_robot, number, optional, parse_number, parsed, problem, required, vector,
 };
 use crate::robot::{Link, Placement};
@@ -204,17 +204,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             ([], []) => Matrix3::zeros(),
             _ => return Err(problem(node, "needs three diaginertia or six fullinertia")),
         };
-        if mass == 0.0 && written == Matrix3::zeros() {
-            return Ok(None);
-        }
-        let frame = self.pose(node)?;
-        let rot = frame.rot_parent_child;
-        let inertia_com = rot * written * rot.transpose();
-        Ok(Some(Link {
-            mass,
-            com: frame.origin,
-            inertia_com,
-        }))
+        body(mass, &written, || self.pose(node))
     }
 
     /// A joint, and what follows it in the frame of the link it moves.
@@ -260,12 +250,12 @@ impl<'a, 'input> Reader<'a, 'input> {
         });
         let force = self.range(node, class, ["actuatorfrcrange", "actuatorfrclimited"])?;
         let moving = Placement {
-            rot_parent_child: Matrix3::identity(),
             origin: anchor,
+            ..Placement::identity()
         };
         let turned = Placement {
             rot_parent_child: back,
-            origin: Vector3::zeros(),
+            ..Placement::identity()
         };
         let element = JointElement {
             kind: kind.to_owned(),

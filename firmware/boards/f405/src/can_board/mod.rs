@@ -35,7 +35,7 @@ use stm32f4xx_hal::rcc::Rcc;
 
 use crate::app::TICK;
 use crate::arm::{Arm, BoardSession, JOINTS, PARAMETERS};
-use crate::board::{Board, Drive, Pin, Port, Ports};
+use crate::board::{Board, Drive, Pin, Ports, start_link};
 use crate::clock::Clocks;
 use crate::counter;
 use crate::drive::switch;
@@ -103,10 +103,7 @@ pub fn interrupt() {
     });
     let off = bridge.ports().iter_mut().any(FramePort::is_off);
     OFF.store(off, Ordering::Relaxed);
-    LOST.store(
-        LOST.load(Ordering::Relaxed).wrapping_add(full),
-        Ordering::Relaxed,
-    );
+    link::add(&LOST, full);
     if any {
         rtic::pend(TICK);
     }
@@ -201,10 +198,7 @@ impl Drive for BusDrive {
         let Some(drives) = &mut drives.0 else { return };
         let mut give = |order| {
             if !orders.put(order) {
-                LOST.store(
-                    LOST.load(Ordering::Relaxed).wrapping_add(1),
-                    Ordering::Relaxed,
-                );
+                link::add(&LOST, 1);
             }
             // It runs at once, so the next order finds room.
             rtic::pend(WAKE);
@@ -255,11 +249,7 @@ impl Board for CanBoard {
     const NAME: &'static str = "pyboard-v1.1 on a drive bus";
     const CRYSTAL_HZ: u32 = Pyboard::CRYSTAL_HZ;
     /// PA4, the card's X5: contactor of the arm. CAN has the pin that [`Pyboard`] uses.
-    const ENABLE: Pin = Pin {
-        port: Port::A,
-        number: 4,
-    };
-
+    const ENABLE: Pin = Pin::A(4);
     const BRAKE: Option<Pin> = Pyboard::BRAKE;
 
     type Drive = BusDrive;
@@ -282,10 +272,7 @@ impl Board for CanBoard {
         a.pa1.into_alternate::<8>().internal_pull_up(true);
         c.pc6.into_alternate::<8>();
         c.pc7.into_alternate::<8>().internal_pull_up(true);
-        // Alternate function 7 is USART2 (DS8626 table 9).
-        a.pa2.into_alternate::<7>();
-        // Held high while nobody is plugged in: an open line is full of start bits.
-        a.pa3.into_alternate::<7>().internal_pull_up(true);
+        start_link(a.pa2, a.pa3);
     }
 }
 

@@ -17,7 +17,7 @@ use stm32f4xx_hal::pac::{SPI1, TIM1};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::board::{Board, Pin, Port, Ports};
+use crate::board::{Board, Pin, Ports, start_link};
 use crate::pyboard::Pyboard;
 
 /// The joint that this board drives, from 0: the shoulder lift.
@@ -38,23 +38,14 @@ pub(crate) type PulseTimer = TIM1;
 /// From the bare oscillator of 16 MHz it is 1.9 kHz.
 pub(crate) const PULSE_TOP: u16 = 8400;
 /// Direction of the torque: PB9 (Y4), high for +.
-pub(crate) const DIRECTION: Pin = Pin {
-    port: Port::B,
-    number: 9,
-};
+pub(crate) const DIRECTION: Pin = Pin::B(9);
 /// Fault of the stage, active low: PB12 (Y5), which is also the break input of the timer, alternate function 1.
-pub(crate) const FAULT: Pin = Pin {
-    port: Port::B,
-    number: 12,
-};
+pub(crate) const FAULT: Pin = Pin::B(12);
 
 /// Bus of the encoder: clock PA5 (X6), from the chip PA6 (X7), to the chip PA7 (X8), alternate function 5.
 pub(crate) type EncoderBus = SPI1;
 /// Chip select of the encoder: PA4 (X5), active low.
-pub(crate) const SELECT: Pin = Pin {
-    port: Port::A,
-    number: 4,
-};
+pub(crate) const SELECT: Pin = Pin::A(4);
 /// Division of APB2 for the clock of the bus, 2^(n + 1): 84 MHz / 16 = 5.25 MHz; 10 MHz are allowed.
 pub(crate) const ENCODER_DIVIDER: u8 = 3;
 /// Cycles from select to clock, clock to select, and between frames: at least 350 ns (AS5047P, SPI timing), 59 at 168 MHz.
@@ -101,9 +92,6 @@ impl Board for PyboardDrive {
         a.pa5.into_alternate::<5>();
         a.pa6.into_alternate::<5>().internal_pull_up(true);
         a.pa7.into_alternate::<5>();
-        // Alternate function 7 is USART2 (DS8626 table 9).
-        a.pa2.into_alternate::<7>();
-        // Held high while nothing is plugged in: an open line is full of start bits.
-        a.pa3.into_alternate::<7>().internal_pull_up(true);
+        start_link(a.pa2, a.pa3);
     }
 }

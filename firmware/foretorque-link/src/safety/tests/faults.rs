@@ -168,24 +168,16 @@ fn m10_a_speed_that_the_joint_cannot_have_is_a_jump() {
             let mut jumps = 0;
             for k in 0..600_u32 {
                 // There and back, within the range.
-                let sign = if (k / 150).is_multiple_of(2) {
-                    1.0
-                } else {
-                    -1.0
-                };
-                let q = if of_measured {
-                    &mut measured(&mut moving).q
-                } else {
-                    &mut moving.desired.q
-                };
-                q[0] += sign * step;
+                let step = if k / 150 % 2 == 0 { step } else { -step };
+                match of_measured {
+                    true => measured(&mut moving).q[0] += step,
+                    false => moving.desired.q[0] += step,
+                }
                 safety.period();
                 safety.admit(Some(moving), 1, NO_FAULT);
-                let jump = matches!(
-                    safety.status().reason,
-                    SafetyReason::PositionJump | SafetyReason::DesiredJump
-                );
-                jumps += u32::from(jump);
+                let reason = safety.status().reason;
+                let jump = [SafetyReason::PositionJump, SafetyReason::DesiredJump];
+                jumps += u32::from(jump.contains(&reason));
             }
             assert_eq!(jumps == 0, plausible, "{speed} rad/s: {jumps} jumps");
             let fast = speed > 8.0;
@@ -198,26 +190,12 @@ fn m10_a_speed_that_the_joint_cannot_have_is_a_jump() {
 /// No torque without measurements, or with the arm elsewhere.
 #[test]
 fn m10_an_armed_board_needs_measurements_near_the_desired_position() {
-    use SafetyReason::{FollowingError, MeasurementTimeout};
+    use SafetyReason::{FollowingError as Far, MeasurementTimeout as Late};
+    use SafetyState::{Armed, Disarmed, Fault};
     let cases: [(Change, SafetyReason, u32, SafetyState); 3] = [
-        (
-            |s| s.measured = None,
-            MeasurementTimeout,
-            101,
-            SafetyState::Disarmed,
-        ),
-        (
-            |s| measured(s).q[2] += 0.21,
-            FollowingError,
-            51,
-            SafetyState::Fault,
-        ),
-        (
-            |s| measured(s).q[2] += 0.19,
-            NO_FAULT,
-            1000,
-            SafetyState::Armed,
-        ),
+        (|s| s.measured = None, Late, 101, Disarmed),
+        (|s| measured(s).q[2] += 0.21, Far, 51, Fault),
+        (|s| measured(s).q[2] += 0.19, NO_FAULT, 1000, Armed),
     ];
     for (change, reason, after, state) in cases {
         let mut safety = armed();

@@ -9,58 +9,37 @@ use proptest::prelude::*;
 /// Length of the motion filter at 1 kHz, ticks.
 const FILTER: u32 = 2 * TAPS as u32;
 
-/// A board that its timer paces: the periods without a sample are ticks.
-struct Timed(Board);
-
-impl Timed {
-    fn armed() -> Self {
-        let mut timed = Self(Board::new());
-        timed.0.pace(Pacing::SysTick);
-        for _ in 0..ARM_SAMPLES {
-            timed.tick(Some(0));
-        }
-        timed.0.acknowledged(HostMessage::Arm);
-        timed.0.acknowledged(HostMessage::Learning { on: true });
-        timed
-    }
-
-    fn tick(&mut self, sample: Option<u32>) -> TorqueFrame<N> {
-        let torque = self.0.period(sample.map(swinging)).unwrap();
-        self.0.learn();
-        torque
-    }
-}
-
-/// A board that samples pace, and a host that numbers its periods.
-struct Linked {
+/// A board that its timer paces, or one that samples pace and a host that numbers its periods.
+struct Paced {
     board: Board,
+    pacing: Pacing,
     period: u8,
 }
 
-impl Linked {
-    fn armed() -> Self {
-        let mut linked = Self {
+impl Paced {
+    fn armed(pacing: Pacing) -> Self {
+        let mut paced = Self {
             board: Board::new(),
+            pacing,
             period: 0,
         };
-        // A restart as of the other board: it is counted in the learner's state.
-        linked.board.pace(Pacing::Link);
-        for _ in 0..ARM_SAMPLES {
-            linked.sample(0);
-        }
-        linked.board.acknowledged(HostMessage::Arm);
-        linked
-            .board
-            .acknowledged(HostMessage::Learning { on: true });
-        linked
+        // A restart for both: it is counted in the learner's state.
+        paced.board.pace(pacing);
+        (0..ARM_SAMPLES).for_each(|_| _ = paced.sample(0));
+        paced.board.acknowledged(HostMessage::Arm);
+        paced.board.acknowledged(HostMessage::Learning { on: true });
+        paced
     }
 
     fn sample(&mut self, k: u32) -> TorqueFrame<N> {
         let frame = SampleFrame::new(&swinging(k)).in_period(self.period);
         self.period = self.period.wrapping_add(1);
-        let reply = self.board.request(HostMessage::Sample(frame));
+        let torque = match self.pacing {
+            Pacing::Link => torque(&self.board.request(HostMessage::Sample(frame))),
+            Pacing::SysTick => self.board.period(Some(swinging(k))).unwrap(),
+        };
         self.board.learn();
-        torque(&reply)
+        torque
     }
 
     /// Samples `first` to `last - 1`; how many rows the learner has accepted in them.
@@ -70,10 +49,16 @@ impl Linked {
         self.board.learner.state().statistics.accepted - before
     }
 
-    /// A sample that does not arrive.
+    /// A sample that does not arrive; with a timer its period is a tick.
     fn lose(&mut self) {
         self.period = self.period.wrapping_add(1);
-        self.board.sequence += 1;
+        match self.pacing {
+            Pacing::Link => self.board.sequence += 1,
+            Pacing::SysTick => {
+                self.board.period(None).unwrap();
+                self.board.learn();
+            }
+        }
     }
 }
 
@@ -97,19 +82,18 @@ fn swinging(k: u32) -> JointSample<N> {
 }
 
 /// Runs both boards through 600 ticks, those in `lost` without a sample; returns whether their torques were equal.
-fn together(lost: &[u32]) -> (Timed, Linked, bool) {
-    let (mut timed, mut linked) = (Timed::armed(), Linked::armed());
+fn together(lost: &[u32]) -> (Paced, Paced, bool) {
+    let [mut timed, mut linked] = [Pacing::SysTick, Pacing::Link].map(Paced::armed);
     let mut same = true;
     for k in 0..600 {
         if lost.contains(&k) {
-            timed.tick(None);
+            timed.lose();
             linked.lose();
             continue;
         }
-        let expected = timed.tick(Some(k));
-        let given = linked.sample(k);
-        same &= (given.tick, given.flags, given.total)
-            == (expected.tick, expected.flags, expected.total);
+        let torques = [timed.sample(k), linked.sample(k)];
+        let [expected, given] = torques.map(|it| (it.tick, it.flags, it.total));
+        same &= given == expected;
     }
     (timed, linked, same)
 }
@@ -125,8 +109,8 @@ fn a_lost_sample_acts_as_a_tick_without_sample() {
         .collect();
     let (timed, linked, same) = together(&lost);
     assert!(same, "a torque differs");
-    assert!(timed.0.learner.state() == linked.board.learner.state());
-    let seen = timed.0.learner.state().statistics;
+    assert!(timed.board.learner.state() == linked.board.learner.state());
+    let seen = timed.board.learner.state().statistics;
     assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
     let stale = linked.board.statistics().stale_ticks;
     assert_eq!(stale, lost.len() as u32);
@@ -138,9 +122,9 @@ fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
     for first in 200..206 {
         let lost: Vec<u32> = (first..=first + MAX_BRIDGED as u32).collect();
         let (timed, linked, _) = together(&lost);
-        assert!(timed.0.learner.state() == linked.board.learner.state());
+        assert!(timed.board.learner.state() == linked.board.learner.state());
     }
-    let mut linked = Linked::armed();
+    let mut linked = Paced::armed(Pacing::Link);
     assert!(linked.accepted(0..200) > 0);
     (0..20).for_each(|_| linked.lose());
     assert_eq!(linked.accepted(220..219 + FILTER), 0);
@@ -148,7 +132,7 @@ fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
 
 #[test]
 fn a_lost_command_costs_no_learning_sample() {
-    let (mut whole, mut commanded) = (Linked::armed(), Linked::armed());
+    let [mut whole, mut commanded] = [Pacing::Link; 2].map(Paced::armed);
     for k in 0..100 {
         whole.sample(k);
         commanded.sample(k);
@@ -160,7 +144,7 @@ fn a_lost_command_costs_no_learning_sample() {
 
 #[test]
 fn after_a_hello_the_window_is_empty() {
-    let mut linked = Linked::armed();
+    let mut linked = Paced::armed(Pacing::Link);
     assert!(linked.accepted(0..100) > 0);
     linked.board.request(HostMessage::Hello);
     assert_eq!(linked.accepted(100..99 + FILTER), 0);
@@ -218,12 +202,7 @@ impl Timeline {
     }
 
     pub(super) fn torque(&self) -> f32 {
-        self.board
-            .session
-            .torque_output()
-            .iter()
-            .map(|t| t.abs())
-            .sum()
+        self.board.session.torque_output().abs().sum()
     }
 
     pub(super) fn state(&self) -> SafetyState {
@@ -237,16 +216,9 @@ impl Timeline {
         });
         let session = &self.board.session;
         let (torque, enabled) = (*session.torque_output(), session.torque_enabled());
-        let checked = self
-            .promises
-            .check(&torque, enabled, session.safety(), used);
-        assert_eq!(
-            checked,
-            Ok(()),
-            "sample {}, {}",
-            self.next,
-            session.safety()
-        );
+        let safety = session.safety();
+        let checked = self.promises.check(&torque, enabled, safety, used);
+        assert_eq!(checked, Ok(()), "sample {}, {safety}", self.next);
     }
 
     pub(super) fn timer(&mut self) -> usize {

@@ -13,10 +13,6 @@ fn key(byte: u8) -> WriteKey {
     WriteKey::from_slot([byte; 16]).unwrap()
 }
 
-fn signature(byte: u8, nonce: &Mac, upload: &[u8]) -> Option<Mac> {
-    Some(key(byte).sign_upload(nonce, Ur5::HASH, upload))
-}
-
 /// A board with key 3.
 fn locked(seed: u8) -> Board {
     Board::with(|board| (board.write_key, board.seed) = (Some(key(3)), Some([seed; MAC_BYTES])))
@@ -30,6 +26,12 @@ impl Board {
         }
     }
 
+    /// Signature of an upload by a key, for a challenge of now.
+    fn signed(&mut self, byte: u8, upload: &[u8]) -> Option<Mac> {
+        let nonce = self.challenge();
+        Some(key(byte).sign_upload(&nonce, Ur5::HASH, upload))
+    }
+
     fn upload_excitation(&mut self, program: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
         self.write(program);
         let (length, crc) = (program.len() as u16, CRC.checksum(program));
@@ -38,14 +40,23 @@ impl Board {
 }
 
 #[test]
-fn a_board_with_a_key_reports_it_and_accepts_a_signed_bank() {
+fn a_board_with_a_key_reports_it_and_accepts_a_signed_bank_once() {
     let mut board = locked(1);
     let bank = uploaded();
     let capabilities = board.hello().capabilities;
     assert!(capabilities.contains(Capabilities::WRITE_KEY));
     let nonce = board.challenge();
-    assert_eq!(board.upload(&bank, signature(3, &nonce, &bank)), ACK);
+    let mac = Some(key(3).sign_upload(&nonce, Ur5::HASH, &bank));
+    assert_eq!(board.upload(&bank, mac), ACK);
     assert_eq!(board.read(), bank);
+    // It cannot be replayed.
+    assert_eq!(board.upload(&bank, mac), REFUSED);
+    board.challenge();
+    assert_eq!(board.upload(&bank, mac), REFUSED);
+    // Nor to the same board after a restart.
+    let mut restarted = locked(2);
+    assert_ne!(restarted.challenge(), nonce);
+    assert_eq!(restarted.upload(&bank, mac), REFUSED);
 }
 
 #[test]
@@ -54,31 +65,15 @@ fn a_missing_or_wrong_signature_leaves_the_old_bank() {
     let mut board = locked(1);
     let before = board.read();
     assert_eq!(board.upload(&bank, None), REFUSED);
-    let unasked = signature(3, &[0; MAC_BYTES], &bank);
-    assert_eq!(board.upload(&bank, unasked), REFUSED);
-    let nonce = board.challenge();
-    assert_eq!(board.upload(&bank, signature(4, &nonce, &bank)), REFUSED);
-    let nonce = board.challenge();
+    let unasked = key(3).sign_upload(&[0; MAC_BYTES], Ur5::HASH, &bank);
+    assert_eq!(board.upload(&bank, Some(unasked)), REFUSED);
+    let foreign = board.signed(4, &bank);
+    assert_eq!(board.upload(&bank, foreign), REFUSED);
+    let mac = board.signed(3, &bank);
     let mut other = bank.clone();
     other[50] ^= 1;
-    assert_eq!(board.upload(&other, signature(3, &nonce, &bank)), REFUSED);
+    assert_eq!(board.upload(&other, mac), REFUSED);
     assert_eq!(board.read(), before);
-}
-
-#[test]
-fn a_recorded_upload_cannot_be_replayed() {
-    let bank = uploaded();
-    let mut board = locked(1);
-    let nonce = board.challenge();
-    let mac = signature(3, &nonce, &bank);
-    assert_eq!(board.upload(&bank, mac), ACK);
-    assert_eq!(board.upload(&bank, mac), REFUSED);
-    board.challenge();
-    assert_eq!(board.upload(&bank, mac), REFUSED);
-    // Nor to the same board after a restart.
-    let mut restarted = locked(2);
-    assert_ne!(restarted.challenge(), nonce);
-    assert_eq!(restarted.upload(&bank, mac), REFUSED);
 }
 
 #[test]
@@ -112,23 +107,19 @@ fn an_excitation_needs_a_signature_of_its_own() {
     let program = excitation();
     let mut board = locked(1);
     assert_eq!(board.upload_excitation(&program, None), REFUSED);
-    let nonce = board.challenge();
-    let foreign = signature(4, &nonce, &program);
+    let foreign = board.signed(4, &program);
     assert_eq!(board.upload_excitation(&program, foreign), REFUSED);
-    assert_eq!(
-        board.request(HostMessage::Excitation(ExcitationCommand::Status)),
-        BoardMessage::Excitation(ExcitationState::Empty)
-    );
+    let status = board.request(HostMessage::Excitation(ExcitationCommand::Status));
+    assert_eq!(status, BoardMessage::Excitation(ExcitationState::Empty));
     let start = HostMessage::Excitation(ExcitationCommand::Start);
     let missing = nack(NackReason::Excitation(ExcitationError::NotLoaded));
     assert_eq!(board.request(start), missing);
-    let nonce = board.challenge();
-    let mac = signature(3, &nonce, &program);
+    let mac = board.signed(3, &program);
     assert_eq!(board.upload_excitation(&program, mac), ACK);
     assert_eq!(board.upload_excitation(&program, mac), REFUSED);
     // The signature of an excitation does not serve a bank.
-    let nonce = board.challenge();
-    let reply = board.upload(&program, signature(3, &nonce, &program));
+    let mac = board.signed(3, &program);
+    let reply = board.upload(&program, mac);
     assert!(matches!(reply, BoardMessage::Nack(NackReason::Bank(_))));
 }
 
@@ -188,7 +179,8 @@ fn m4_the_bounds_of_learning_stay_around_the_signed_bank() {
         } else {
             [0; MAC_BYTES]
         };
-        assert_eq!(board.upload(&bank, signature(3, &nonce, &bank)), ACK);
+        let mac = key(3).sign_upload(&nonce, Ur5::HASH, &bank);
+        assert_eq!(board.upload(&bank, Some(mac)), ACK);
         permit(&mut board, HostMessage::Learning { on: true });
         // Six N·m more than the bank on every joint.
         let set = board.session.feed_forward().state().active;

@@ -96,15 +96,17 @@ fn a_damaged_set_gives_way_to_the_one_before() {
     let mut store = Store::new(Flash::blank());
     store.save(7, &[1; 100]).unwrap();
     store.save(7, &[2; 100]).unwrap();
-    let second = store.flash().0.windows(100).position(|b| b == [2; 100]);
-    let first = store.flash().0.windows(100).position(|b| b == [1; 100]);
-    for place in 0..100 {
-        store.flash_mut().0[second.unwrap() + place] ^= 4;
+    let [first, second] = [1, 2].map(|k| {
+        let mut places = store.flash().0.windows(100);
+        places.position(|bytes| bytes == [k; 100]).unwrap()
+    });
+    for place in second..second + 100 {
+        store.flash_mut().0[place] ^= 4;
         assert_eq!(store.load(7, &mut [0; 100]), Ok(&[1; 100][..]));
-        store.flash_mut().0[second.unwrap() + place] ^= 4;
+        store.flash_mut().0[place] ^= 4;
     }
-    store.flash_mut().0[second.unwrap()] ^= 4;
-    store.flash_mut().0[first.unwrap()] ^= 4;
+    store.flash_mut().0[second] ^= 4;
+    store.flash_mut().0[first] ^= 4;
     assert_eq!(store.load(7, &mut [0; 100]), Err(StoreError::Damaged));
 }
 
@@ -167,15 +169,10 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
     board.samples_to_arm();
     let started = |message: HostMessage<N>, board: &mut Board| {
         let frame = board.numbered(&message);
-        let Board {
-            session, mailboxes, ..
-        } = board;
-        session.receive(
-            &frame,
-            mailboxes,
-            &mut FrameBuffer::new(),
-            &mut NoLocalSensor,
-        );
+        let (out, sensor) = (&mut FrameBuffer::new(), &mut NoLocalSensor);
+        board
+            .session
+            .receive(&frame, &mut board.mailboxes, out, sensor);
         assert!(board.housekeeping.begin(&mut board.mailboxes.parameters));
     };
     let finished = |board: &mut Board| {

@@ -59,15 +59,10 @@ fn m1_a_silent_host_loses_its_torque_equally_fast_in_both_pacings() {
             first(&mut leaves, timeline.state() != SafetyState::Armed);
         }
         // The page gives 10, 30 at most, and 50 ms.
-        assert!(
-            (11..=12).contains(&falls),
-            "{pacing:?}: falls after {falls}"
-        );
-        assert!(ends > falls && ends <= 33, "{pacing:?}: ends after {ends}");
-        assert!(
-            (50..=51).contains(&leaves),
-            "{pacing:?}: leaves after {leaves}"
-        );
+        let context = std::format!("{pacing:?}: {falls}, {ends}, {leaves} ms");
+        assert!((11..=12).contains(&falls), "{context}");
+        assert!(ends > falls && ends <= 33, "{context}");
+        assert!((50..=51).contains(&leaves), "{context}");
     }
 }
 
@@ -229,11 +224,8 @@ fn ends(event: &str, close_ms: u16, (kept, zero): (u32, u32)) {
     let mut still = slow(0);
     // More than gravity in the torque.
     still.desired.qdd.fill(3.0);
-    let q = SampleFrame::new(&still)
-        .sample(&[0.0; N])
-        .measured
-        .unwrap()
-        .q;
+    let received = SampleFrame::new(&still).sample(&[0.0; N]);
+    let q = received.measured.unwrap().q;
     for pacing in PACINGS {
         let mut board = Timeline::braked(pacing, close_ms, 1).board;
         (0..ARM_SAMPLES).for_each(|_| _ = board.period(Some(slow(0))));

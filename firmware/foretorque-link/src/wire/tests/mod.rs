@@ -41,10 +41,8 @@ fn receive<M: DeserializeOwned>(bytes: &[u8]) -> (Vec<(u16, M)>, Vec<DecodeError
 fn assert_survives<M: Serialize + DeserializeOwned>(sequence: u16, message: &M) {
     let frame = wire(sequence, message);
     assert!(frame.len() <= MAX_FRAME);
-    assert_eq!(
-        frame.iter().position(|&byte| byte == 0),
-        Some(frame.len() - 1)
-    );
+    let delimiter = frame.iter().position(|&byte| byte == 0);
+    assert_eq!(delimiter, Some(frame.len() - 1));
     let (good, bad) = receive::<M>(&frame);
     assert!(bad.is_empty());
     let [(number, again)] = good.as_slice() else {

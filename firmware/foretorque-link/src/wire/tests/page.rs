@@ -25,10 +25,8 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
         for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
             let line = row(page, &std::format!("| {direction} | {tag} | `{name}` |"));
             let ends = std::format!("| {six} | {seven} |");
-            assert!(
-                line.ends_with(&ends),
-                "{line}\nends with {ends} in the types"
-            );
+            let same = line.ends_with(&ends);
+            assert!(same, "{line}\nends with {ends} in the types");
         }
     }
     let heading = page.find("| bit | field |").unwrap();
@@ -45,10 +43,8 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
     ] {
         let exponent = (1.0 / resolution).log2() as u32;
         let wanted = std::format!("| {name} | 2^-{exponent} | ±{} |", range.round());
-        assert!(
-            row(page, &std::format!("| {name} |")).starts_with(&wanted),
-            "{wanted}"
-        );
+        let line = row(page, &std::format!("| {name} |"));
+        assert!(line.starts_with(&wanted), "{wanted}");
     }
     let longest = Configuration::MAX_BRAKE_CLOSE_MS;
     for text in [
@@ -106,11 +102,8 @@ fn every_nack_code_and_width_of_the_page_is_that_of_the_type() {
         let line = row(PAGE, &std::format!("| {code} | `{}` |", named(reason)));
         let payload = line.split('|').nth(3).unwrap();
         let error = payload.contains("error");
-        assert_eq!(
-            width(payload).unwrap_or(usize::from(error)),
-            bytes,
-            "{line}"
-        );
+        let stated = width(payload).unwrap_or(error.into());
+        assert_eq!(stated, bytes, "{line}");
     }
 }
 

@@ -35,6 +35,24 @@ fn refusal(text: &str, selection: &Selection<'_>) -> String {
     parse("t", text, selection).unwrap_err().to_string()
 }
 
+/// [`ARM`] with another text from `start` up to `end`.
+fn with(text: &str, start: &str, end: &str) -> String {
+    let [start, end] = [start, end].map(|part| ARM.find(part).unwrap());
+    format!("{}{text}{}", &ARM[..start], &ARM[end..])
+}
+
+impl Import {
+    /// This is a note.
+    fn has(&self, note: &str) -> bool {
+        self.notes.iter().any(|known| known == note)
+    }
+
+    /// A note begins with this.
+    fn notes(&self, start: &str) -> bool {
+        self.notes.iter().any(|note| note.starts_with(start))
+    }
+}
+
 fn gravity_torques(robot: &Robot) -> Joints<2> {
     let model = ReferenceModel::<2>::new(robot).unwrap();
     model.gravity_torques(&Joints::zeros())
@@ -49,10 +67,8 @@ fn bolted_links_become_part_of_the_link_that_moves_them() {
     assert_eq!(upper.mass, 3.0);
     // About y only the two masses 2/3 kg·(0.2² + 0.1²) m² apart and their own tensors count; y is the joint's z.
     let expected = 0.03 + 0.001 + 2.0 / 3.0 * (0.2 * 0.2 + 0.1 * 0.1);
-    assert!(
-        (upper.inertia_com.m33 - expected).abs() < 1e-15,
-        "{upper:?}"
-    );
+    let error = upper.inertia_com.m33 - expected;
+    assert!(error.abs() < 1e-15, "{upper:?}");
     assert_eq!(robot.joints[1].link.mass, 1.5);
     // Held out level: 9.81 (2·0.2 + 1·0.5 + 0.5·0.7) about the shoulder, 9.81 (1·0.1 + 0.5·0.3) about the elbow. The
     // shoulder turns about +y, which lowers the arm; the elbow about −y once its frame is rolled by 90°.
@@ -116,8 +132,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
     let nothing = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
     assert_eq!(ARM.matches(tensor).count(), 2);
     let points = ARM.replace(tensor, nothing);
-    let bolted = to_hand(&points);
-    assert_eq!(bolted.joints[1].link.mass, 1.5);
+    assert_eq!(to_hand(&points).joints[1].link.mass, 1.5);
     let only_a_point = points.replacen(
         r#"<parent link="fore"/><child link="hand"/>"#,
         r#"<parent link="fore"/><child link="hand"/><axis xyz="0 0 1"/>
@@ -126,10 +141,9 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
     );
     let only_a_point =
         only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
-    assert_eq!(
-        refusal(&only_a_point, &TO_HAND),
-        "t: link 'hand': inertia is not positive definite (--repair takes the nearest of a body)"
-    );
+    let message =
+        "t: link 'hand': inertia is not positive definite (--repair takes the nearest of a body)";
+    assert_eq!(refusal(&only_a_point, &TO_HAND), message);
 }
 
 #[test]
@@ -142,19 +156,17 @@ fn a_tip_cuts_off_its_children_with_a_note() {
     let import = parse("t", ARM, &selection).unwrap();
     assert_eq!(import.robot.joints[1].link.mass, 1.0);
     // The base frame is that of the base link, not of the world it stands in.
-    assert_eq!(
-        import.robot.joints[0].placement.origin,
-        Vector3::new(0.0, 0.0, 0.5)
-    );
-    let left_out = "left out: link 'hand' on joint 'wrist' and all it carries".to_owned();
-    assert!(import.notes.contains(&left_out), "{:?}", import.notes);
+    let origin = import.robot.joints[0].placement.origin;
+    assert_eq!(origin, Vector3::new(0.0, 0.0, 0.5));
+    let left_out = "left out: link 'hand' on joint 'wrist' and all it carries";
+    assert!(import.has(left_out), "{:?}", import.notes);
     let whole = parse("t", ARM, &TO_HAND).unwrap();
     assert_eq!(whole.robot.joints[0].placement.origin.z, 1.5);
-    assert!(!whole.notes.contains(&left_out));
+    assert!(!whole.has(left_out));
     for finger in ["left", "right"] {
         let note =
             format!("left out: link '{finger}' on joint '{finger}_finger' and all it carries");
-        assert!(whole.notes.contains(&note), "{:?}", whole.notes);
+        assert!(whole.has(&note), "{:?}", whole.notes);
     }
 }
 
@@ -163,10 +175,8 @@ fn assumptions_are_listed_in_the_notes() {
     let import = parse("t", ARM, &TO_HAND).unwrap();
     let elbow = &import.robot.joints[1];
     assert_eq!(elbow.limits.position, (-4.0 * FRAC_PI_2, 4.0 * FRAC_PI_2));
-    assert_eq!(
-        (elbow.friction.viscous, elbow.friction.coulomb),
-        (0.5, 0.25)
-    );
+    let friction = (elbow.friction.viscous, elbow.friction.coulomb);
+    assert_eq!(friction, (0.5, 0.25));
     assert_eq!(elbow.drive.rotor_inertia, 0.0);
     for note in [
         "joint 'elbow': angles near right angles are taken as right angles",
@@ -174,7 +184,7 @@ fn assumptions_are_listed_in_the_notes() {
         "no acceleration limit at joints 'shoulder', 'elbow': 10 rad/s² is taken",
         "drives are not described: rotor inertias 0, gains 1 N·m/A, 17-bit encoders",
     ] {
-        assert!(import.notes.iter().any(|n| n == note), "{:?}", import.notes);
+        assert!(import.has(note), "{:?}", import.notes);
     }
     let flange = import.robot.flange;
     assert_eq!(flange.origin, Vector3::new(0.3, 0.0, 0.0));
@@ -184,26 +194,22 @@ fn assumptions_are_listed_in_the_notes() {
 fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
     let whole = imported(ARM);
     assert_eq!(whole.robot, to_hand(ARM));
-    let end = "the arm ends at link 'hand'".to_owned();
-    assert!(whole.notes.contains(&end), "{:?}", whole.notes);
+    assert!(whole.has("the arm ends at link 'hand'"));
     // A jaw that turns is a finger by its name; without such a name it is a joint.
-    let jaw = ARM.replace(
-        "\"left_finger\" type=\"prismatic\"",
-        "\"jaw\" type=\"revolute\"",
-    );
+    let prismatic = r#""left_finger" type="prismatic""#;
+    let jaw = ARM.replace(prismatic, r#""jaw" type="revolute""#);
     let jaw = jaw.replace("<mimic joint=\"left_finger\"/>", "<mimic joint=\"jaw\"/>");
-    let ends = imported(&jaw);
-    assert_eq!(ends.robot.joint_count(), 2);
+    assert_eq!(imported(&jaw).robot.joint_count(), 2);
     let by_joint = Selection {
         base: Some("elbow"),
         tip: Some("elbow"),
         ..Selection::default()
     };
     let forearm = parse("t", ARM, &by_joint).unwrap().robot;
-    assert_eq!(
-        (forearm.joint_count(), &*forearm.joints[0].name),
-        (1, "elbow")
-    );
+    let [joint] = &forearm.joints[..] else {
+        panic!("{forearm:?}");
+    };
+    assert_eq!(joint.name, "elbow");
     // Two arms: the tips to choose from, the longer first.
     let torso = ARM.replace("</robot>", r#"
         <joint name="a" type="revolute"><parent link="base"/><child link="b"/></joint><link name="b"/>
@@ -228,11 +234,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         "joint 'shoulder': no velocity limit, 2 rad/s",
         "joint 'shoulder': no torque limit, 20 N·m",
     ] {
-        assert!(
-            import.notes.iter().any(|found| found.starts_with(note)),
-            "{:?}",
-            import.notes
-        );
+        assert!(import.notes(note), "{:?}", import.notes);
     }
     let broken = ARM.replace("iyy=\"0.03\"", "iyy=\"0.3\"");
     let repair = Selection {
@@ -240,17 +242,9 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         ..Selection::default()
     };
     let repaired = parse("t", &broken, &repair).unwrap();
-    assert!(
-        repaired
-            .notes
-            .iter()
-            .any(|note| note.starts_with("link 'upper': inertia moved"))
-    );
-    let moments = repaired.robot.joints[0]
-        .link
-        .second_moments()
-        .symmetric_eigenvalues();
-    assert!(moments.min() > 0.0);
+    assert!(repaired.notes("link 'upper': inertia moved"));
+    let moments = repaired.robot.joints[0].link.second_moments();
+    assert!(moments.symmetric_eigenvalues().min() > 0.0);
     assert_eq!(parse("t", ARM, &repair).unwrap().robot, to_hand(ARM));
     let weld = Selection {
         weld: true,
@@ -261,9 +255,12 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     let fingers = ARM.replace("<link name=\"left\"/>", finger);
     let welded = parse("t", &fingers, &weld).unwrap();
     assert!((welded.robot.joints[1].link.mass - 1.6).abs() < 1e-12);
-    let start = ARM.find(r#"<link name="upper">"#).unwrap();
-    let end = ARM.find(r#"<joint name="camera_mount""#).unwrap();
-    let hollow = format!("{}<link name=\"upper\"/>{}", &ARM[..start], &ARM[end..]);
+    let upper = r#"<link name="upper"/>"#;
+    let hollow = with(
+        upper,
+        r#"<link name="upper">"#,
+        r#"<joint name="camera_mount""#,
+    );
     let hollow = hollow.replacen(
         "<inertial><mass value=\"1\"/>",
         "<collision/><inertial><mass value=\"0\"/>",
@@ -279,10 +276,6 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         link_mass: Some(2.0),
         ..Selection::default()
     };
-    assert_eq!(
-        parse("t", &hollow, &rods).unwrap().robot.joints[0]
-            .link
-            .mass,
-        2.0
-    );
+    let robot = parse("t", &hollow, &rods).unwrap().robot;
+    assert_eq!(robot.joints[0].link.mass, 2.0);
 }

@@ -25,9 +25,7 @@ fn a_written_arm_is_the_arm_again_with_the_names_of_its_links() {
     }
     // An armature is where a URDF has no place for it.
     bare.joints[0].drive.rotor_inertia = 0.5;
-    let again = parse("t", &mjcf(&bare), &Selection::default())
-        .unwrap()
-        .robot;
+    let again = whole(&mjcf(&bare));
     assert_eq!(again.joints[0].drive.rotor_inertia, 0.5);
     assert!(sdf(&bare).contains("<drake:rotor_inertia>0.5</drake:rotor_inertia>"));
 }
