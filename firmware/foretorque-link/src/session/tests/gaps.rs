@@ -111,7 +111,7 @@ fn a_lost_sample_acts_as_a_tick_without_sample() {
     assert!(same, "a torque differs");
     assert!(timed.board.learner.state() == linked.board.learner.state());
     let seen = timed.board.learner.state().statistics;
-    assert!(seen.accepted > 100 && seen.incomplete > 50, "{seen:?}");
+    assert!(seen.accepted > 400, "{seen:?}");
     let stale = linked.board.statistics().stale_ticks;
     assert_eq!(stale, lost.len() as u32);
 }
@@ -127,7 +127,10 @@ fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
     let mut linked = Paced::armed(Pacing::Link);
     assert!(linked.accepted(0..200) > 0);
     (0..20).for_each(|_| linked.lose());
-    assert_eq!(linked.accepted(220..219 + FILTER), 0);
+    // The last sample before the gap serves the joints whose turn is in it.
+    assert!(linked.accepted(220..221) <= MAX_BRIDGED as u32);
+    assert_eq!(linked.accepted(221..219 + FILTER), 0);
+    assert!(linked.accepted(219 + FILTER..225 + FILTER) > 0);
 }
 
 #[test]
@@ -147,7 +150,8 @@ fn after_a_hello_the_window_is_empty() {
     let mut linked = Paced::armed(Pacing::Link);
     assert!(linked.accepted(0..100) > 0);
     linked.board.request(HostMessage::Hello);
-    assert_eq!(linked.accepted(100..99 + FILTER), 0);
+    assert!(linked.accepted(100..101) <= MAX_BRIDGED as u32);
+    assert_eq!(linked.accepted(101..99 + FILTER), 0);
 }
 
 /// A board, its timer, a host that sends one sample a period, and the line between them.
