@@ -1,6 +1,6 @@
 //! A log with its lost rows put in: filters and derivatives need rows that are equally far apart.
 
-use super::clock::{Clock, GAP_PERIODS, clock, repeats};
+use super::clock::{Clock, GAP_PERIODS, clock, mean_period_s, repeats};
 use super::filter::median;
 use super::log::{LogReader, LogRow};
 use crate::dynamics::PerJoint;
@@ -79,13 +79,7 @@ impl WholeLog {
             lost: 0,
         };
         if clock == Clock::Stamps {
-            let whole = steps.iter().filter(|step| **step <= GAP_PERIODS * period_s);
-            let (mut time_s, mut periods) = (0.0, 0.0);
-            for step in whole {
-                time_s += step;
-                periods += (step / period_s).round().max(1.0);
-            }
-            log.period_s = time_s / periods;
+            log.period_s = mean_period_s(steps.iter().copied(), period_s);
             steps.sort_by(f64::total_cmp);
             let ends = [0.05, 0.95].map(|part| steps[(part * steps.len() as f64) as usize] * 1e3);
             log.notes.push(format!(
