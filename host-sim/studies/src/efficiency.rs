@@ -7,6 +7,7 @@ use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::excitation::{SearchConfig, optimise};
 use foretorque_workbench::identification::{
     ColumnSet, IdentifyConfig, MethodName, PrepareConfig, identify,
+use foretorque_workbench::metrics::root_mean;
 };
 use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::robot::{Perturbation, Robot};
@@ -143,9 +144,7 @@ pub fn run(
             robust.push(found[0].0);
             plain.push(found[1].0);
         }
-        let rms = |values: &[f64]| {
-            (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
-        };
+        let rms = |values: &[f64]| root_mean(values.iter().map(|v| v * v));
         cases.push(CaseRecord {
             noise: noise.to_owned(),
             irls_nrmse_moving_ratio: rms(&robust),

@@ -11,7 +11,7 @@ use foretorque::learning::rated_payload;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::closed_loop::{PdConfig, motion_f32};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
-use foretorque_workbench::metrics::MOVING_RAD_S;
+use foretorque_workbench::metrics::{MOVING_RAD_S, root_mean};
 use foretorque_workbench::plant::Plant;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
@@ -89,15 +89,12 @@ impl<const N: usize> Bench<N> {
         set: &ParameterSet<N, P>,
         needed: &[Joints<N>],
     ) -> f64 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for (state, needed) in self.unseen.iter().zip(needed) {
+        let squares = self.unseen.iter().zip(needed).flat_map(|(state, needed)| {
             let torque: Joints<N> = evaluate::<A, N, P>(set, &motion_f32(state)).total.cast();
-            for j in (0..N).filter(|&j| state.qd[j].abs() > MOVING_RAD_S) {
-                sum += ((torque[j] - needed[j]) / self.scale[j]).powi(2);
-                count += 1.0;
-            }
-        }
-        (sum / f64::max(count, 1.0)).sqrt()
+            let moving = (0..N).filter(|&j| state.qd[j].abs() > MOVING_RAD_S);
+            moving.map(move |j| ((torque[j] - needed[j]) / self.scale[j]).powi(2))
+        });
+        root_mean(squares)
     }
 
     /// All scenarios of this arm whose names begin with `only`.

@@ -3,7 +3,7 @@
 use super::rows::Rows;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::joints;
-use crate::metrics::{MOVING_RAD_S, condition_of};
+use crate::metrics::{MOVING_RAD_S, condition_of, scaled};
 use crate::robot::Robot;
 use crate::trajectory::via::ViaPath;
 use nalgebra::{Cholesky, DMatrix};
@@ -116,10 +116,7 @@ impl Experiment {
         let size = information
             .diagonal()
             .map(|d| d.max(f64::MIN_POSITIVE).sqrt().recip());
-        let scaled = DMatrix::from_fn(size.len(), size.len(), |i, j| {
-            information[(i, j)] * size[i] * size[j]
-        });
-        let factor = Cholesky::new(scaled)?;
+        let factor = Cholesky::new(scaled(&information, &size))?;
         let mut covariance = factor.inverse();
         let log_det: f64 = factor
             .l_dirty()
