@@ -52,7 +52,7 @@ pub(super) struct Experiment {
 }
 
 /// Figures of a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Worth {
     /// ln of the condition number (smooth upper bound of it).
     pub(super) ln_condition: f64,
@@ -202,7 +202,7 @@ impl Experiment {
                 }
             }
         }
-        let worth = self.worth(&transposed, |_| Worth::NONE, None)?;
+        let worth = self.worth(&transposed, |_| Worth::default(), None)?;
         let (_, covariance, _) = self.covariance(&transposed)?;
         let errors = self.tasks.iter().map(|task| covariance.dot(task).sqrt());
         Some((condition, worth, errors.collect()))
@@ -229,12 +229,4 @@ pub(super) fn condition_number(rows: &Rows, states: &[Motion]) -> f64 {
 fn condition(transposed: &DMatrix<f64>, columns: usize) -> f64 {
     let links = transposed.rows(0, columns);
     condition_of(&(links * links.transpose()))
-}
-
-impl Worth {
-    pub(super) const NONE: Self = Self {
-        ln_condition: 0.0,
-        ln_error: 0.0,
-        ln_spread: 0.0,
-    };
 }
