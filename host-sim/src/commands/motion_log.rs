@@ -200,8 +200,8 @@ mod tests {
 
     #[test]
     fn every_tick_is_written_once_with_the_slopes_of_the_measured_positions() {
-        let path =
-            std::env::temp_dir().join(format!("foretorque-motion-{}.csv", std::process::id()));
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("motion.csv");
         for ticks in [1, 2, 5, 30, 31, 32, 200] {
             let mut log =
                 MotionLog::<1>::create(&path, false, None, &["more".to_owned()]).expect("creates");
