@@ -117,6 +117,28 @@ pub fn joint_columns(name: &str, unit: &str, joints: usize) -> Vec<String> {
         .collect()
 }
 
+/// Writes the motion of an arm and its torques, N·m, as a table: `t_s`, the state's columns, and one a joint of each of
+/// the names of `torques`.
+///
+/// Errors: the file system's.
+pub fn write_motion<const N: usize, const T: usize>(
+    path: &Path,
+    torques: [&str; T],
+    rows: impl IntoIterator<Item = (f64, State<N>, [Joints<N>; T])>,
+) -> io::Result<()> {
+    let mut header = vec!["t_s".to_owned()];
+    header.extend(state_columns(N));
+    header.extend(torques.iter().flat_map(|name| joint_columns(name, "nm", N)));
+    let mut table = TableWriter::create(path, &header)?;
+    for (t_s, state, torques) in rows {
+        let joints = [&state.q, &state.qd, &state.qdd]
+            .into_iter()
+            .chain(&torques);
+        table.row(std::iter::once(&t_s).chain(joints.flatten()))?;
+    }
+    table.finish()
+}
+
 pub(crate) fn is_compressed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "gz")
 }
