@@ -5,7 +5,7 @@ use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::Bar;
 use super::terminal::show;
-use super::{Failure, bank, positive, unusable};
+use super::{Failure, bank, positive, unsupported, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -205,9 +205,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         };
         let config = plant_config(arguments.disturbances.plant_config()?);
         let plant = Plant::<N>::new(&truth, config, arguments.seed);
-        let other_size = || unusable(format!("robot '{}' has not {N} joints", self.robot.name));
         let mut plant = plant
-            .ok_or_else(other_size)?
+            .ok_or_else(|| unsupported(N))?
             .with_events(arguments.disturbances.events::<N>()?);
         plant.place(&self.path.at(0.0).q);
         let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);

@@ -116,7 +116,7 @@ impl MotionArguments {
     /// Errors: a file that is none, a trajectory of another robot, numbers that make no sense.
     pub(super) fn scene<const N: usize>(&self, robot: &Robot) -> Result<Scene<N>, Failure> {
         let robot = &with_rotors(robot)?;
-        let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
+        let other_size = || unsupported(N);
         let truth = if self.exact {
             robot.clone()
         } else {
