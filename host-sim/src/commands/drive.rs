@@ -20,7 +20,6 @@ use foretorque_workbench::files::write_whole;
 use foretorque_workbench::plant::{Measurement, Plant};
 use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
-use foretorque_workbench::table::joint_columns;
 use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S, VALIDATION_S};
 use serde::Serialize;
@@ -312,14 +311,9 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     /// Plays, and writes the files.
     fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
         let out = &self.arguments.out;
-        let mut columns = joint_columns("feed_forward", "nm", N);
-        columns.push("flags".to_owned());
-        let path = out.join("log.csv");
-        let mut log = MotionLog::<N>::create(&path, true, None, &columns)?;
+        let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
         let played = self.tracking(network, self.arguments.alone, &mut |record| {
-            let torque = record.feed_forward.iter().map(|tau| f64::from(*tau));
-            let answer = torque.chain([f64::from(record.flags)]).collect();
-            Ok(log.add(record, record.measured, answer)?)
+            Ok(log.add(record, record.measured)?)
         })?;
         log.finish()?;
         let controller = &played.player.controller;
