@@ -1,7 +1,7 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
 use super::arms::WorldArm;
-use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN};
+use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::StudyError;
 use crate::bank_of;
@@ -64,7 +64,7 @@ impl<const N: usize> Bench<N> {
         };
         let limits = bench.truth.each(|joint| joint.limits.torque);
         let limits = Joints::<N>::from(limits.ok_or(StudyError::Joints(N))?);
-        let needed = bench.needed(&bench.plant(&Scenario::plain(), Source::Current)?);
+        let needed = bench.needed(&bench.plant(&PLAIN, Source::Current)?);
         let squares = needed.iter().fold(Joints::zeros(), |sum: Joints<N>, tau| {
             sum + tau.component_mul(tau) / UNSEEN_POINTS as f64
         });
@@ -142,14 +142,13 @@ impl<const N: usize> Bench<N> {
         start: &ParameterBank,
         source: Source,
     ) -> Result<ParameterBank, StudyError> {
-        let scenario = Scenario::plain();
-        let path = scenario.trajectory::<N>(&self.described, self.seed.wrapping_add(900), false);
-        let plant = self.plant(&scenario, source)?;
+        let path = PLAIN.trajectory::<N>(&self.described, self.seed.wrapping_add(900), false);
+        let plant = self.plant(&PLAIN, source)?;
         let trace = self.run::<A, P>(
             (plant, source),
             &path,
             Some((start, false)),
-            scenario.ticks(false),
+            PLAIN.ticks(false),
             0.0,
         )?;
         let start = start.set::<A, N, P>()?;
@@ -170,7 +169,7 @@ impl<const N: usize> Bench<N> {
         let plant = self.plant(scenario, source)?;
         let plant = plant
             .with_events(events.clone())
-            .with_faults(scenario.faults());
+            .with_faults(scenario.faults);
         let ticks = scenario.ticks(quick);
         let learnt = self.run::<A, P>(
             (plant.clone(), source),
