@@ -320,26 +320,18 @@ fn within_1_1<A: Arm<N, P>, const N: usize, const P: usize>(
     start: &Start<N, P>,
     progress: Progress<'_>,
 ) -> Result<Vec<Option<f64>>, StudyError> {
-    let mut times = Vec::new();
-    for path in 0..paths {
+    let time = |path| {
         progress("fresh on each path", path, paths);
         let mut board = Board::<A, N, P>::new(start)?;
-        let first = stretches.iter().find(|stretch| stretch.path == path);
-        times.push(match first {
-            Some(stretch) => {
-                let predicted = play(&mut board, &mut VecDeque::new(), stretch);
-                logs::motion_until_close(
-                    stretch,
-                    &predicted.newest,
-                    WINDOW_S / start.period_s,
-                    CLOSE,
-                )
-                .map(|rows| rows as f64 * start.period_s)
-            }
-            None => None,
-        });
-    }
-    Ok(times)
+        let Some(first) = stretches.iter().find(|stretch| stretch.path == path) else {
+            return Ok(None);
+        };
+        let newest = play(&mut board, &mut VecDeque::new(), first).newest;
+        let window = WINDOW_S / start.period_s;
+        let rows = logs::motion_until_close(first, &newest, window, CLOSE);
+        Ok(rows.map(|rows| rows as f64 * start.period_s))
+    };
+    (0..paths).map(time).collect()
 }
 
 /// Error of parameters 10 s old over the reference's, geometric mean, of boards that have learnt all other paths before.
