@@ -14,6 +14,15 @@ fn column(path: &Path, index: usize) -> Vec<f64> {
         .collect()
 }
 
+/// RMS difference of two columns over the RMS of the first; each is a table and a place in it.
+fn difference(here: &Path, wanted: (&str, usize), found: (&str, usize)) -> f64 {
+    let [wanted, found] = [wanted, found].map(|(table, index)| column(&here.join(table), index));
+    let pairs = wanted.iter().zip(&found);
+    let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
+    let power: f64 = wanted.iter().map(|a| a * a).sum();
+    (error / power).sqrt()
+}
+
 #[test]
 fn parameters_come_back_from_a_log_and_the_bank_loads() {
     let here = directory("identify-round");
@@ -40,14 +49,7 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
         "torque --robot ur5 --in unseen.csv --out tau.csv --bank out/parameters.bank",
     );
     // The board's own torque of the bank, first joint, against the log.
-    let (wanted, found) = (
-        column(&here.join("unseen.csv"), 19),
-        column(&here.join("tau.csv"), 1),
-    );
-    let pairs = wanted.iter().zip(&found);
-    let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
-    let power: f64 = wanted.iter().map(|a| a * a).sum();
-    assert!((error / power).sqrt() < 0.02);
+    assert!(difference(&here, ("unseen.csv", 19), ("tau.csv", 1)) < 0.02);
 }
 
 #[test]
@@ -197,15 +199,7 @@ fn drives_that_turn_two_joints_are_identified() {
     );
     // Torques of the last two drives: measured, and of the identified description.
     for drive in [5, 6] {
-        let measured = column(&here.join("2.csv"), 18 + drive);
-        let found = column(&here.join("tau.csv"), drive);
-        let error: f64 = measured
-            .iter()
-            .zip(&found)
-            .map(|(a, b)| (a - b).powi(2))
-            .sum();
-        let power: f64 = measured.iter().map(|a| a * a).sum();
-        let share = (error / power).sqrt();
+        let share = difference(&here, ("2.csv", 18 + drive), ("tau.csv", drive));
         assert!(share < 0.2, "drive {drive}: {share}");
     }
     let run = "run --robot arm.toml --trajectory validation --out x";

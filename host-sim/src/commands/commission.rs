@@ -4,7 +4,7 @@ use super::boards::on_arm;
 use super::disturbances::triple;
 use super::drive::wired;
 use super::terminal::show;
-use super::{Failure, arguments as of, drive, excite, identify, positive, unusable};
+use super::{Failure, arguments as of, drive, excite, identify, positive, unsupported, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, rated_payload};
@@ -199,7 +199,7 @@ impl Arguments {
         let (config, robot) = (profile.config::<A, N, P>()?, &with_rotors(robot)?);
         let rest = Joints::<N>::from_column_slice(&profile.rest_rad);
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
-        let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
+        let other_size = || unsupported(N);
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
         let network: Box<dyn Network> = if arguments.bus.is_simulated() {
             let truth = robot.perturbed(arguments.seed, &Perturbation::PLANT);

@@ -5,7 +5,7 @@ use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::Bar;
 use super::terminal::show;
-use super::{Failure, bank, positive, unusable};
+use super::{Failure, bank, positive, unsupported, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -20,7 +20,6 @@ use foretorque_workbench::files::write_whole;
 use foretorque_workbench::plant::{Measurement, Plant};
 use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
-use foretorque_workbench::table::joint_columns;
 use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S, VALIDATION_S};
 use serde::Serialize;
@@ -205,9 +204,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         };
         let config = plant_config(arguments.disturbances.plant_config()?);
         let plant = Plant::<N>::new(&truth, config, arguments.seed);
-        let other_size = || unusable(format!("robot '{}' has not {N} joints", self.robot.name));
         let mut plant = plant
-            .ok_or_else(other_size)?
+            .ok_or_else(|| unsupported(N))?
             .with_events(arguments.disturbances.events::<N>()?);
         plant.place(&self.path.at(0.0).q);
         let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);
@@ -313,14 +311,9 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     /// Plays, and writes the files.
     fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
         let out = &self.arguments.out;
-        let mut columns = joint_columns("feed_forward", "nm", N);
-        columns.push("flags".to_owned());
-        let path = out.join("log.csv");
-        let mut log = MotionLog::<N>::create(&path, true, None, &columns)?;
+        let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
         let played = self.tracking(network, self.arguments.alone, &mut |record| {
-            let torque = record.feed_forward.iter().map(|tau| f64::from(*tau));
-            let answer = torque.chain([f64::from(record.flags)]).collect();
-            Ok(log.add(record, record.measured, answer)?)
+            Ok(log.add(record, record.measured)?)
         })?;
         log.finish()?;
         let controller = &played.player.controller;

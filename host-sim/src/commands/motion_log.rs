@@ -25,6 +25,7 @@ pub(super) struct MotionLog<const N: usize> {
     written: usize,
     /// Drive gains, N·m/A, where the log has currents.
     gains: Option<Joints<N>>,
+    answered: bool,
 }
 
 struct Row<const N: usize> {
@@ -32,12 +33,13 @@ struct Row<const N: usize> {
     q: Joints<N>,
     tau: Joints<N>,
     desired: Joints<N>,
-    more: Vec<f64>,
+    answer: Option<Vec<f64>>,
 }
 
 impl<const N: usize> MotionLog<N> {
-    /// Starts a log with `more` columns at its end.
+    /// Starts a log.
     ///
+    /// * `answered` its last columns are the board's feed-forward and its flags
     /// * `beside` the log is written as MCAP too
     /// * `gains` drive gains, N·m/A, by which the log has motor currents, A, in the place of torques
     ///
@@ -46,7 +48,7 @@ impl<const N: usize> MotionLog<N> {
         path: &Path,
         beside: bool,
         gains: Option<Joints<N>>,
-        more: &[String],
+        answered: bool,
     ) -> io::Result<Self> {
         let mut header = vec!["t_s".to_owned()];
         header.extend(state_columns(N));
@@ -55,7 +57,10 @@ impl<const N: usize> MotionLog<N> {
             Some(_) => joint_columns("i", "a", N),
         });
         header.extend(joint_columns("desired", "rad", N));
-        header.extend_from_slice(more);
+        if answered {
+            header.extend(joint_columns("feed_forward", "nm", N));
+            header.push("flags".to_owned());
+        }
         Ok(Self {
             table: match beside {
                 true => TableWriter::with_mcap(path, &header)?,
@@ -64,18 +69,14 @@ impl<const N: usize> MotionLog<N> {
             waiting: VecDeque::with_capacity(WINDOW),
             written: 0,
             gains,
+            answered,
         })
     }
 
     /// Adds what was `seen` of a tick. It is written when the rows after it are known.
     ///
     /// Errors: the file system's.
-    pub(super) fn add(
-        &mut self,
-        record: &TickRecord<N>,
-        seen: Measurement<N>,
-        more: Vec<f64>,
-    ) -> io::Result<()> {
+    pub(super) fn add(&mut self, record: &TickRecord<N>, seen: Measurement<N>) -> io::Result<()> {
         if self.waiting.len() == WINDOW {
             self.waiting.pop_front();
             self.written = self.written.saturating_sub(1);
@@ -88,7 +89,10 @@ impl<const N: usize> MotionLog<N> {
                 Some(gains) => seen.tau.component_div(gains),
             },
             desired: record.desired.q,
-            more,
+            answer: self.answered.then(|| {
+                let torque = record.feed_forward.iter().map(|tau| f64::from(*tau));
+                torque.chain([f64::from(record.flags)]).collect()
+            }),
         });
         if self.waiting.len() == WINDOW {
             self.write_to(WINDOW / 2 + 1)?;
@@ -111,8 +115,11 @@ impl<const N: usize> MotionLog<N> {
             let (qd, qdd) = slopes.at(row.t_s);
             let joints = [&row.q, &qd, &qdd, &row.tau, &row.desired];
             let values = joints.into_iter().flat_map(|joints| joints.iter());
-            self.table
-                .row(std::iter::once(&row.t_s).chain(values).chain(&row.more))?;
+            self.table.row(
+                std::iter::once(&row.t_s)
+                    .chain(values)
+                    .chain(row.answer.iter().flatten()),
+            )?;
         }
         self.written = self.written.max(end);
         Ok(())
@@ -200,13 +207,12 @@ mod tests {
 
     #[test]
     fn every_tick_is_written_once_with_the_slopes_of_the_measured_positions() {
-        let path =
-            std::env::temp_dir().join(format!("foretorque-motion-{}.csv", std::process::id()));
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("motion.csv");
         for ticks in [1, 2, 5, 30, 31, 32, 200] {
-            let mut log =
-                MotionLog::<1>::create(&path, false, None, &["more".to_owned()]).expect("creates");
+            let mut log = MotionLog::<1>::create(&path, false, None, true).expect("creates");
             for tick in 0..ticks {
-                log.add(&record(tick), record(tick).measured, vec![tick as f64])
+                log.add(&record(tick), record(tick).measured)
                     .expect("writes");
             }
             log.finish().expect("finishes");
@@ -225,6 +231,5 @@ mod tests {
                 }
             }
         }
-        let _ = std::fs::remove_file(path);
     }
 }

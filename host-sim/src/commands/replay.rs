@@ -61,7 +61,7 @@ impl Arguments {
         let bar = Bar::new();
         let progress = |stage, done, all| bar.show(stage, done, all);
         let start = (start.as_str(), set, deviations);
-        let outcome = replay::run::<A, N, P>(robot, &paths, start, self.seed, &progress)?;
+        let outcome = replay::run::<A, N, P>(robot, &paths, start, self.seed, None, &progress)?;
         drop(bar);
         let page = files.finish(&outcome.report, &outcome.page)?;
         show!("{}", outcome.text.trim_end())?;

@@ -20,7 +20,6 @@ use foretorque_workbench::report::closed_loop::{
     self, ClosedLoopLog, ClosedLoopReport, RunDescription,
 };
 use foretorque_workbench::robot::Robot;
-use foretorque_workbench::table::joint_columns;
 use foretorque_workbench::telemetry::{Recorder, Selection};
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::PathBuf;
@@ -204,11 +203,8 @@ struct Log<const N: usize> {
 
 impl<const N: usize> Log<N> {
     fn create(arguments: &Arguments, scene: &Scene<N>) -> Result<Self, Failure> {
-        let mut columns = joint_columns("feed_forward", "nm", N);
-        columns.push("flags".to_owned());
-        let path = arguments.out.join("log.csv");
         Ok(Self {
-            motion: MotionLog::create(&path, true, None, &columns)?,
+            motion: MotionLog::create(&arguments.out.join("log.csv"), true, None, true)?,
             seen: ClosedLoopLog::new(&scene.robot, scene.ticks),
             telemetry: None,
             every: WATCH_TICKS,
@@ -222,9 +218,7 @@ impl<const N: usize> Log<N> {
         started: &Joints<N>,
     ) -> Result<(), Failure> {
         self.seen.add(record, Some(board.safety()), Some(started));
-        let answer = record.feed_forward.iter().map(|tau| f64::from(*tau));
-        let answer = answer.chain([f64::from(record.flags)]).collect();
-        self.motion.add(record, record.measured, answer)?;
+        self.motion.add(record, record.measured)?;
         let frames = board.take_telemetry();
         self.seen.take(&frames, self.every, PERIOD_S);
         if let Some(recorder) = &mut self.telemetry {

@@ -116,7 +116,7 @@ impl MotionArguments {
     /// Errors: a file that is none, a trajectory of another robot, numbers that make no sense.
     pub(super) fn scene<const N: usize>(&self, robot: &Robot) -> Result<Scene<N>, Failure> {
         let robot = &with_rotors(robot)?;
-        let other_size = || unusable(format!("robot '{}' has not {N} joints", robot.name));
+        let other_size = || unsupported(N);
         let truth = if self.exact {
             robot.clone()
         } else {
@@ -164,7 +164,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     let gains = robot.joints.iter().map(|joint| joint.drive.gain);
     let gains = arguments.current.then(|| Joints::from_iterator(gains));
     let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);
-    let mut log = MotionLog::<N>::create(&arguments.out, arguments.mcap, gains, &[])?;
+    let mut log = MotionLog::<N>::create(&arguments.out, arguments.mcap, gains, false)?;
     let bar = Bar::new();
     let (plant, path) = (&mut scene.plant, &scene.trajectory);
     let mut play = ClosedLoop::new(plant, &scene.pd, path, PERIOD_S, None)?;
@@ -173,7 +173,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
         seen.add(&record, None, None);
         // What is lost on the way is in no log.
         if let Some(seen) = record.reported {
-            log.add(&record, seen, Vec::new())?;
+            log.add(&record, seen)?;
         }
         if tick % 256 == 0 {
             bar.show("simulate", tick, scene.ticks);

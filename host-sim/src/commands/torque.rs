@@ -81,6 +81,24 @@ impl Arguments {
     }
 }
 
+/// Starts a table of `shares` of the torque of every joint, beside the times if there are any.
+fn create(out: &Path, timed: bool, shares: &[&str], joints: usize) -> Result<TableWriter, Failure> {
+    let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
+    header.extend(
+        shares
+            .iter()
+            .flat_map(|share| joint_columns(share, "nm", joints)),
+    );
+    Ok(TableWriter::create(out, &header)?)
+}
+
+/// A row of such a table.
+fn row<T: ToString>(t_s: Option<f64>, torques: impl Iterator<Item = T>) -> Vec<String> {
+    let time = t_s.iter().map(f64::to_string);
+    time.chain(torques.map(|torque| torque.to_string()))
+        .collect()
+}
+
 /// Writes the torques of drives that turn several joints, in f64: no board has them.
 fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     if arguments.bank.is_some() || arguments.board != BoardChoice::Native {
@@ -89,11 +107,7 @@ fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), F
     }
     let model = RigidBodies::new(robot);
     let (timed, states) = arguments.states::<N>(robot)?;
-    let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
-    for share in ["tau", "rigid", "friction"] {
-        header.extend(joint_columns(share, "nm", N));
-    }
-    let mut table = TableWriter::create(&arguments.out, &header)?;
+    let mut table = create(&arguments.out, timed, &["tau", "rigid", "friction"], N)?;
     for state in states {
         let state = state?;
         let motion = state.motion.into();
@@ -104,9 +118,7 @@ fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), F
             .collect();
         let total = rigid.iter().zip(&friction).map(|(a, b)| a + b);
         let shares = total.chain(rigid.iter().copied()).chain(friction.clone());
-        let mut row: Vec<String> = state.t_s.iter().map(f64::to_string).collect();
-        row.extend(shares.map(|torque| torque.to_string()));
-        table.row(row)?;
+        table.row(row(state.t_s, shares))?;
     }
     table.finish()?;
     Ok(())
@@ -130,31 +142,22 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         }
         board.upload_bank(bank)?;
     }
-    let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
-    header.extend(joint_columns("tau", "nm", N));
-    if bank.is_some() {
-        for share in ["rigid", "friction", "network"] {
-            header.extend(joint_columns(share, "nm", N));
-        }
-    }
-    let mut table = TableWriter::create(&arguments.out, &header)?;
+    let shares: &[&str] = match bank {
+        Some(_) => &["tau", "rigid", "friction", "network"],
+        None => &["tau"],
+    };
+    let mut table = create(&arguments.out, timed, shares, N)?;
     let bar = Bar::new();
     let mut rows = 0;
     for state in states {
         let state = state?;
         let torque = board.evaluate(&motion_f32(&state.motion))?;
-        let total = match bank {
-            Some(_) => torque.total,
-            None => torque.shares.rigid,
+        let shares = torque.shares;
+        let shares = match bank {
+            Some(_) => vec![torque.total, shares.rigid, shares.friction, shares.network],
+            None => vec![shares.rigid],
         };
-        let mut row: Vec<String> = state.t_s.iter().map(f64::to_string).collect();
-        row.extend(total.iter().map(f32::to_string));
-        if bank.is_some() {
-            let shares = torque.shares;
-            let shares = [shares.rigid, shares.friction, shares.network];
-            row.extend(shares.iter().flatten().map(f32::to_string));
-        }
-        table.row(row)?;
+        table.row(row(state.t_s, shares.iter().flatten()))?;
         rows += 1;
         if rows % 256 == 0 {
             bar.show("torque", rows, rows);

@@ -2,15 +2,15 @@
 
 use crate::{Outcome, Progress, StudyError};
 use foretorque::arm::ur5::JOINTS;
-use foretorque::dynamics::SIGN_WIDTH;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::excitation::{SearchConfig, optimise};
 use foretorque_workbench::identification::{
     ColumnSet, IdentifyConfig, MethodName, PrepareConfig, identify,
 };
+use foretorque_workbench::metrics::root_mean;
 use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::robot::{Perturbation, Robot};
-use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
+use foretorque_workbench::table::write_motion;
 use foretorque_workbench::trajectory::Trajectory;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -143,9 +143,7 @@ pub fn run(
             robust.push(found[0].0);
             plain.push(found[1].0);
         }
-        let rms = |values: &[f64]| {
-            (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
-        };
+        let rms = |values: &[f64]| root_mean(values.iter().map(|v| v * v));
         cases.push(CaseRecord {
             noise: noise.to_owned(),
             irls_nrmse_moving_ratio: rms(&robust),
@@ -176,18 +174,12 @@ fn write(
     mut noise: Option<(ChaCha8Rng, f64)>,
 ) -> Result<(), StudyError> {
     let model = ReferenceModel::<JOINTS>::new(truth).ok_or(StudyError::Joints(JOINTS))?;
-    let mut header = vec!["t_s".to_owned()];
-    header.extend(state_columns(JOINTS));
-    header.extend(joint_columns("tau", "nm", JOINTS));
-    let mut table = TableWriter::create(path, &header)?;
-    for row in 0..(duration_s / PERIOD_S).round() as usize {
+    let rows = (0..(duration_s / PERIOD_S).round() as usize).map(|row| {
         let t_s = row as f64 * PERIOD_S;
         let state = motion(t_s);
         let mut tau: Joints<JOINTS> = model.inverse_dynamics(&state);
-        for (joint, tau) in truth.joints.iter().zip(tau.iter_mut().enumerate()) {
-            let (index, tau) = tau;
-            let (qd, friction) = (state.qd[index], &joint.friction);
-            *tau += friction.viscous * qd + friction.coulomb * (qd / f64::from(SIGN_WIDTH)).tanh();
+        for ((joint, tau), qd) in truth.joints.iter().zip(&mut tau).zip(&state.qd) {
+            *tau += joint.friction.sliding(*qd);
             if let Some((random, outliers)) = &mut noise {
                 let sigma = NOISE * joint.limits.torque;
                 *tau += sigma * random.sample::<f64, _>(StandardNormal);
@@ -198,11 +190,9 @@ fn write(
                 }
             }
         }
-        let parts = [&state.q, &state.qd, &state.qdd, &tau];
-        let values = parts.iter().flat_map(|part| part.iter().copied());
-        table.row(std::iter::once(t_s).chain(values))?;
-    }
-    Ok(table.finish()?)
+        (t_s, state, [tau])
+    });
+    Ok(write_motion(path, ["tau"], rows)?)
 }
 
 fn outcome(report: EfficiencyReport) -> Outcome<EfficiencyReport> {

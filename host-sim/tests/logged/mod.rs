@@ -3,7 +3,7 @@
 use crate::program::{host_sim, json, succeeds};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::robot::Robot;
-use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
+use foretorque_workbench::table::write_motion;
 use serde_json::Value;
 use std::path::Path;
 use std::process::Output;
@@ -42,29 +42,18 @@ pub(crate) fn log_of(
     noise: f64,
 ) {
     let model = ReferenceModel::<N>::new(robot).expect("six joints");
-    let mut header = vec!["t_s".to_owned()];
-    header.extend(state_columns(N));
-    header.extend(joint_columns("tau", "nm", N));
-    let mut table = TableWriter::create(path, &header).expect("creates");
-    for row in 0..rows {
+    let rows = (0..rows).map(|row| {
         let t_s = row as f64 * PERIOD_S;
         let state = motion(t_s, phase, still);
         let mut tau = model.inverse_dynamics(&state);
         for (joint, tau) in tau.iter_mut().enumerate() {
-            let friction = &robot.joints[joint].friction;
-            let qd = state.qd[joint];
-            *tau += friction.viscous * qd
-                + friction.coulomb * (qd / f64::from(foretorque::dynamics::SIGN_WIDTH)).tanh();
+            *tau += robot.joints[joint].friction.sliding(state.qd[joint]);
             // Deterministic, far above the bandwidth of the motion.
             *tau += noise * ((row * (7 + joint)) as f64 * 1.7).sin();
         }
-        let parts = [&state.q, &state.qd, &state.qdd, &tau];
-        let values = parts.iter().flat_map(|part| part.iter().copied());
-        table
-            .row(std::iter::once(t_s).chain(values))
-            .expect("writes");
-    }
-    table.finish().expect("finishes");
+        (t_s, state, [tau])
+    });
+    write_motion(path, ["tau"], rows).expect("writes");
 }
 
 /// Output of `identify` in a directory.

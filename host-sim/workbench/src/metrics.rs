@@ -1,13 +1,13 @@
 //! Figures of merit: torque error and tracking error.
 
 use crate::dynamics::Joints;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Speed below which a joint counts as still, rad/s: stiction is no function of the velocity.
 pub const MOVING_RAD_S: f64 = 0.05;
 
 /// Root of the mean of `squares`; 0 of none.
-pub(crate) fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
+pub fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for square in squares {
         sum += square;
@@ -19,6 +19,13 @@ pub(crate) fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
 /// Root of the mean square of the known `values`.
 pub(crate) fn root_mean_square(values: &[Option<f64>]) -> f64 {
     root_mean(values.iter().flatten().map(|value| value * value))
+}
+
+/// The square matrix with row k and column k times `scale[k]`.
+pub(crate) fn scaled(square: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(scale.len(), scale.len(), |r, c| {
+        square[(r, c)] * scale[r] * scale[c]
+    })
 }
 
 /// Condition number of a matrix X with XᵀX = `gram`.
@@ -36,7 +43,7 @@ pub struct TorqueError<const N: usize> {
 
 /// Sums over the samples of one joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct ErrorSums {
+pub struct ErrorSums {
     /// Squared errors and squared torques, N²·m².
     error: f64,
     pub(crate) truth: f64,
@@ -44,7 +51,8 @@ pub(crate) struct ErrorSums {
 }
 
 impl ErrorSums {
-    pub(crate) fn add(&mut self, truth: f64, predicted: f64) {
+    /// Adds a sample, N·m.
+    pub fn add(&mut self, truth: f64, predicted: f64) {
         self.error += (predicted - truth).powi(2);
         self.truth += truth * truth;
         self.count += 1.0;
@@ -60,7 +68,7 @@ impl ErrorSums {
     }
 
     /// RMS error, N·m; none without samples.
-    pub(crate) fn rmse(&self) -> Option<f64> {
+    pub fn rmse(&self) -> Option<f64> {
         (self.count > 0.0).then(|| (self.error / self.count).sqrt())
     }
 

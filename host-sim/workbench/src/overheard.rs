@@ -145,9 +145,8 @@ mod tests {
                 .expect("it answers");
             frames.extend(board.take_telemetry());
         }
-        let here = std::env::temp_dir().join(format!("overheard-{}", std::process::id()));
-        std::fs::create_dir_all(&here).expect("it can be written");
-        let [own, along] = ["own.csv", "along.csv"].map(|name| here.join(name));
+        let here = tempfile::tempdir().expect("it can be created");
+        let [own, along] = ["own.csv", "along.csv"].map(|name| here.path().join(name));
         let mut recorder = Recorder::create(&own, selection, 6, 1e-3).expect("it can be written");
         recorder.take(&frames).expect("it can be written");
         recorder.finish().expect("it can be written");
@@ -171,9 +170,8 @@ mod tests {
         // The first record.
         own.remove(1);
         assert!(own == along, "{} {}", own.len(), along.len());
-        assert!(here.join("along.mcap").exists());
-        let silent = Overheard::new(&here.join("none.csv"), 1e-3);
+        assert!(here.path().join("along.mcap").exists());
+        let silent = Overheard::new(&here.path().join("none.csv"), 1e-3);
         assert_eq!(silent.finish().expect("no file"), None);
-        let _ = std::fs::remove_dir_all(here);
     }
 }

@@ -78,7 +78,8 @@ mod tests {
 
     #[test]
     fn a_figure_that_differs_is_named_until_it_is_accepted() {
-        let path = std::env::temp_dir().join(format!("foretorque-snapshot-{}", std::process::id()));
+        let here = tempfile::tempdir().expect("it can be created");
+        let path = here.path().join("snapshot");
         keep(&path, "", false).expect_err("no file");
         keep(&path, "a 1\nb 2\n", true).expect("writes");
         keep(&path, "a 1\nb 2\n", false).expect("equal");
@@ -87,7 +88,6 @@ mod tests {
         assert!(differs("a 1\n").ends_with(":2: kept \"b 2\", measured \"\""));
         keep(&path, "a 1\n", true).expect("writes");
         keep(&path, "a 1\n", false).expect("equal");
-        std::fs::remove_file(path).expect("it was just written");
     }
 
     #[test]

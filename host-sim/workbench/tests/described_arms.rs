@@ -215,11 +215,10 @@ fn another_geometry_is_another_arm() {
 #[test]
 fn new_arm_is_declared_beside_the_others_once() {
     let robot = Robot::load("panda").unwrap();
-    let folder = std::env::temp_dir().join(format!("foretorque-arms-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let parent = folder.join("mod.rs");
+    let folder = tempfile::tempdir().unwrap();
+    let parent = folder.path().join("mod.rs");
     std::fs::write(&parent, "//! Arms.\n\nmod identity;\npub mod ur5;\n").unwrap();
-    let file = folder.join("my_panda.rs");
+    let file = folder.path().join("my_panda.rs");
     for _ in 0..2 {
         write_arm_module(&robot, &file).unwrap();
         let text = std::fs::read_to_string(&parent).unwrap();
@@ -230,10 +229,9 @@ fn new_arm_is_declared_beside_the_others_once() {
     }
     assert_eq!(std::fs::read_to_string(&file).unwrap(), arm_module(&robot));
     for bad in ["My.rs", "7.rs", "a-b.rs", "arm.txt"] {
-        let error = write_arm_module(&robot, &folder.join(bad)).unwrap_err();
+        let error = write_arm_module(&robot, &folder.path().join(bad)).unwrap_err();
         assert_eq!(error.kind(), std::io::ErrorKind::InvalidInput, "{bad}");
     }
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]

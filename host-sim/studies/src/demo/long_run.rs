@@ -6,7 +6,8 @@ use super::record::{
     UsartFigures, ValidationPoint,
 };
 use super::setup::{
-    DemoConfig, PAGE_POINTS, ReplyBits, Setup, error_of, learn, predictions, track,
+    DemoConfig, PAGE_POINTS, PD_BANDWIDTH_HZ, PERIOD_S, ReplyBits, Setup, error_of, learn,
+    predictions, ticks_in, track,
 };
 use super::{N, Ur5};
 use crate::{Progress, StudyError};
@@ -28,7 +29,7 @@ pub(super) fn long_run(
     (board, toolchain): (String, String),
     progress: Progress<'_>,
 ) -> Result<(DemoReport, DemoCurves, Vec<ReplyBits>), StudyError> {
-    let samples = config.ticks(config.validation_s);
+    let samples = ticks_in(config.validation_s);
     let path = setup.grid(samples, config.validation_s);
     bulk.reset()?;
     bulk.upload_bank(&setup.prior)?;
@@ -54,7 +55,7 @@ pub(super) fn long_run(
         bulk,
         setup,
         &mut plant,
-        config.ticks(config.learning_s),
+        ticks_in(config.learning_s),
         |board, plant, t_s| {
             let seen = predictions(board, &watched, "learning", &|_, _, _| {})?;
             learning_curve.push(LearningPoint {
@@ -109,8 +110,8 @@ pub(super) fn long_run(
         robot: Ur5::NAME.to_owned(),
         board,
         seed: config.seed,
-        ticks: config.ticks(config.learning_s),
-        period_s: config.period_s,
+        ticks: ticks_in(config.learning_s),
+        period_s: PERIOD_S,
         toolchain,
         torque_nrmse_before: before.nrmse(),
         torque_nrmse_after: after.nrmse(),
@@ -122,7 +123,7 @@ pub(super) fn long_run(
         },
         tracking_rms_mrad: tracking.map(|error| error.mean_rms_mrad()),
         tracking_rms_joint_mrad: tracking.map(|error| error.rms_mrad()),
-        pd_bandwidth_hz: config.pd_bandwidth_hz,
+        pd_bandwidth_hz: PD_BANDWIDTH_HZ,
         learning_curve,
         tick_instructions: statistics.tick_cost.into(),
         tick_instructions_by_phase: TickPhases {
@@ -147,7 +148,7 @@ pub(super) fn usart_run(
     long_run: &[ReplyBits],
     progress: Progress<'_>,
 ) -> Result<UsartFigures, StudyError> {
-    let ticks = config.ticks(config.usart_learning_s);
+    let ticks = ticks_in(config.usart_learning_s);
     let grid = setup.grid(USART_POINTS, config.validation_s);
     let mut plant = setup.plant.clone();
     // Counters from here on: how often a booting board was greeted is a matter of the clock on the wall.

@@ -14,6 +14,11 @@ use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 
+/// Period of the tick, s.
+pub(super) const PERIOD_S: f64 = 1e-3;
+/// Bandwidth of the PD controller, Hz.
+pub(super) const PD_BANDWIDTH_HZ: f64 = 6.0;
+
 /// The setup of every board of the job.
 pub(super) struct Setup {
     pub(super) series: Excitation,
@@ -22,7 +27,6 @@ pub(super) struct Setup {
     pub(super) plant: Plant<N>,
     pub(super) pd: PdConfig<N>,
     pub(super) prior: ParameterBank,
-    pub(super) period_s: f64,
 }
 
 impl Setup {
@@ -50,9 +54,8 @@ impl Setup {
             validation: Trajectory::validation(robot, config.seed.wrapping_add(2)),
             plant: Plant::new(&truth, PlantConfig::default(), config.seed)
                 .ok_or_else(other_size)?,
-            pd: PdConfig::tuned(&nominal, config.pd_bandwidth_hz, config.period_s),
+            pd: PdConfig::tuned(&nominal, PD_BANDWIDTH_HZ, PERIOD_S),
             prior: bank_of::<Ur5, N, P>(&wrong),
-            period_s: config.period_s,
         })
     }
 
@@ -75,16 +78,12 @@ pub(super) const PAGE_POINTS: usize = 3000;
 pub struct DemoConfig {
     /// Seed of plant, prior, paths and noise.
     pub seed: u64,
-    /// Period of the tick, s.
-    pub period_s: f64,
     /// Arm time with learning on, long run, s.
     pub learning_s: f64,
     /// Arm time with learning on, flashable firmware, s.
     pub usart_learning_s: f64,
     /// Length of the unseen path that is played, s.
     pub validation_s: f64,
-    /// Bandwidth of the PD controller, Hz.
-    pub pd_bandwidth_hz: f64,
     /// Random candidates of the excitation.
     pub excitation_candidates: usize,
 }
@@ -93,21 +92,17 @@ impl Default for DemoConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            period_s: 1e-3,
             learning_s: 80.0,
             usart_learning_s: 5.0,
             validation_s: 30.0,
-            pd_bandwidth_hz: 6.0,
             excitation_candidates: 100,
         }
     }
 }
 
-impl DemoConfig {
-    /// Number of ticks in `duration_s`.
-    pub(super) fn ticks(&self, duration_s: f64) -> usize {
-        (duration_s / self.period_s).round() as usize
-    }
+/// Number of ticks in `duration_s`.
+pub(super) fn ticks_in(duration_s: f64) -> usize {
+    (duration_s / PERIOD_S).round() as usize
 }
 
 /// Time between two looks at the error while learning goes on, s.
@@ -131,7 +126,7 @@ pub(super) fn track(
         plant,
         &setup.pd,
         &setup.validation,
-        setup.period_s,
+        PERIOD_S,
         board.as_deref_mut(),
     )?;
     for tick in 0..ticks {
@@ -172,14 +167,14 @@ pub(super) fn learn(
         plant,
         &setup.pd,
         &setup.excitation,
-        setup.period_s,
+        PERIOD_S,
         Some(&mut *board),
     )?;
     board.learning(true)?;
-    let watch_every = ((WATCH_EVERY_S / setup.period_s).round() as usize).max(1);
+    let watch_every = ticks_in(WATCH_EVERY_S).max(1);
     for tick in 0..ticks {
         if tick % watch_every == 0 {
-            watch(board, plant, tick as f64 * setup.period_s)?;
+            watch(board, plant, tick as f64 * PERIOD_S)?;
         }
         let seen = run.tick(plant, Some(&mut *board))?;
         let bits: [f32; N] = seen.feed_forward.into();
@@ -188,7 +183,7 @@ pub(super) fn learn(
     }
     board.learning(false)?;
     board.disarm()?;
-    watch(board, plant, ticks as f64 * setup.period_s)?;
+    watch(board, plant, ticks as f64 * PERIOD_S)?;
     Ok(replies)
 }
 

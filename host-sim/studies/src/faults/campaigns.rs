@@ -5,10 +5,10 @@ use super::store::{self, SECTOR, SMALL_SECTOR};
 use super::{BadUpload, Campaign, Damage, TimedFault, timed};
 use super::{bad_uploads, damaged_line, foreign_frames, strange_numbers, watchdog_bites};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque_link::store::slots;
+use foretorque_link::store::{StoreError, slots};
 use foretorque_link::wire::Pacing;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
-use foretorque_workbench::board::{Native, Transport};
+use foretorque_workbench::board::{BoardError, Native, Transport};
 use std::error::Error;
 use std::path::Path;
 
@@ -77,14 +77,25 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    fn new(
+    fn new<E: Into<Box<dyn Error>>>(
         name: &'static str,
-        work: impl FnOnce() -> Result<Campaign, Box<dyn Error>> + 'static,
+        work: impl FnOnce() -> Result<Campaign, E> + 'static,
     ) -> Self {
         Self {
             name,
-            work: Box::new(work),
+            work: Box::new(|| work().map_err(Into::into)),
         }
+    }
+
+    /// Work on a board that is started for it.
+    fn on(
+        board: Board,
+        name: &'static str,
+        work: impl FnOnce(Box<dyn Transport>) -> Result<Campaign, BoardError> + 'static,
+    ) -> Self {
+        Self::new(name, move || -> Result<_, Box<dyn Error>> {
+            Ok(work(board.connect()?)?)
+        })
     }
 
     /// Breaks things.
@@ -104,19 +115,19 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
     for pacing in [Pacing::Link, Pacing::SysTick] {
         for fault in TimedFault::all() {
             all.push(Scenario::new(fault.name(), move || {
-                Ok(timed(pacing, fault, lengths.native_s * TICKS_PER_S, seed)?)
+                timed(pacing, fault, lengths.native_s * TICKS_PER_S, seed)
             }));
         }
     }
     flash(&mut all, lengths, seed);
     all.push(Scenario::new("watchdog", move || {
-        Ok(watchdog_bites(lengths.times, seed)?)
+        watchdog_bites(lengths.times, seed)
     }));
     for crash in Crash::ALL {
         let trace = scratch.join(format!("{}.trace", crash.name.replace(' ', "-")));
         let times = lengths.times.div_ceil(20);
         all.push(Scenario::new(crash.name, move || {
-            Ok(crashes(crash, times, trace)?)
+            crashes(crash, times, trace)
         }));
     }
     all
@@ -131,24 +142,24 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
     };
     for damage in Damage::all() {
         let ticks = ticks(damage);
-        all.push(Scenario::new(damage.name(), move || {
-            Ok(damaged_line(board.connect()?, damage, ticks, seed)?)
+        all.push(Scenario::on(board, damage.name(), move |link| {
+            damaged_line(link, damage, ticks, seed)
         }));
     }
     let few = ticks(Damage::Flips);
-    all.push(Scenario::new("strange numbers", move || {
-        Ok(strange_numbers(board.connect()?, few, seed)?)
+    all.push(Scenario::on(board, "strange numbers", move |link| {
+        strange_numbers(link, few, seed)
     }));
-    all.push(Scenario::new("foreign frames", move || {
-        Ok(foreign_frames(board.connect()?, few, seed)?)
+    all.push(Scenario::on(board, "foreign frames", move |link| {
+        foreign_frames(link, few, seed)
     }));
     let times = match board {
         Board::Usart => lengths.times.div_ceil(20),
         _ => lengths.times,
     };
     for bad in BadUpload::all() {
-        all.push(Scenario::new(bad.name(), move || {
-            Ok(bad_uploads(board.connect()?, bad, times, seed)?)
+        all.push(Scenario::on(board, bad.name(), move |link| {
+            bad_uploads(link, bad, times, seed)
         }));
     }
 }
@@ -156,41 +167,32 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
 fn flash(all: &mut Vec<Scenario>, lengths: Lengths, seed: u64) {
     let full = slots(SECTOR as u32);
     // New flash, and both sides of every change of sector.
-    let real = [
-        0,
-        1,
-        full - 1,
-        full,
-        full + 1,
-        2 * full - 1,
-        2 * full,
-        2 * full + 1,
-    ];
-    let real: Vec<u32> = match lengths == Lengths::FULL {
-        true => real.into(),
-        false => vec![full],
+    let real = match lengths == Lengths::FULL {
+        true => [0..=1, full - 1..=full + 1, 2 * full - 1..=2 * full + 1].to_vec(),
+        false => vec![full..=full],
     };
+    let real = real.into_iter().flatten();
     all.push(Scenario::new("power cuts", move || {
-        Ok(store::power_cuts::<SECTOR>(real, seed)?)
+        store::power_cuts::<SECTOR>(real, seed)
     }));
     all.push(Scenario::new("power cuts, small", move || {
         let mut campaign = store::power_cuts::<SMALL_SECTOR>(0..=6, seed)?;
         campaign.name += ", two slots a sector";
-        Ok(campaign)
+        Ok::<_, StoreError>(campaign)
     }));
     all.push(Scenario::new("life of power cuts", move || {
-        Ok(store::power_cut_life::<SMALL_SECTOR>(lengths.saves, seed))
+        Ok::<_, StoreError>(store::power_cut_life::<SMALL_SECTOR>(lengths.saves, seed))
     }));
     all.push(Scenario::new("worn flash", move || {
-        Ok(store::worn::<SMALL_SECTOR>(lengths.saves / 10, 4, seed))
+        Ok::<_, StoreError>(store::worn::<SMALL_SECTOR>(lengths.saves / 10, 4, seed))
     }));
     all.push(Scenario::new("protected flash", move || {
-        Ok(store::protected::<SMALL_SECTOR>(0..=6, seed)?)
+        store::protected::<SMALL_SECTOR>(0..=6, seed)
     }));
     all.push(Scenario::new("bit rot", move || {
-        Ok(store::bit_rot::<SMALL_SECTOR>(2, seed)?)
+        store::bit_rot::<SMALL_SECTOR>(2, seed)
     }));
     all.push(Scenario::new("foreign sets", move || {
-        Ok(store::foreign_sets::<SMALL_SECTOR>(seed)?)
+        store::foreign_sets::<SMALL_SECTOR>(seed)
     }));
 }

@@ -9,7 +9,7 @@ use foretorque_link::safety::{SafetyReason, SafetyState, Task, TaskCheckIn};
 use foretorque_link::session::{BoardDescription, NoClock, NoLocalSensor};
 use foretorque_link::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
-use foretorque_workbench::board::{Client, Native};
+use foretorque_workbench::board::{Client, Native, Transport as _};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::fs;
@@ -80,7 +80,7 @@ impl Trial {
     pub fn hello(&mut self) -> io::Result<Option<BoardHello>> {
         let mut decoder = Decoder::new();
         let mut buffer = [0; 1];
-        while self.emulator.read(&mut buffer, PATIENCE)? == 1 {
+        while self.emulator.receive(&mut buffer, PATIENCE)? == 1 {
             if let Some(Ok(frame)) = decoder.push(buffer[0])
                 && let Ok(BoardMessage::<JOINTS>::Hello(hello)) = frame.message()
             {
@@ -92,7 +92,7 @@ impl Trial {
 
     /// Asks the firmware to fail.
     pub fn fail(&mut self, crash: Crash) -> io::Result<()> {
-        self.emulator.write(&[crash.letter])
+        self.emulator.send(&[crash.letter])
     }
 
     /// States of the torque enable so far: true for on.

@@ -77,6 +77,13 @@ impl Campaign {
         self.injected > 0 && clean && back && kept
     }
 
+    /// Counts a fault after which a set was kept or not, and the board came back or not.
+    fn case(&mut self, kept: bool, back: bool) {
+        self.injected += 1;
+        self.lost_sets += u64::from(!kept);
+        self.recovered += u64::from(back);
+    }
+
     /// Counts a round: right torques in it are the recovery from the faults of earlier rounds.
     fn count(&mut self, round: &Round, injected: u64) {
         if round.right_torques > 0 {

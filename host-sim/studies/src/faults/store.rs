@@ -67,14 +67,12 @@ pub fn power_cuts<const S: usize>(
                 store.flash_mut().cut_after(step, torn);
                 let reported = store.save(Ur5::HASH, &new).is_ok();
                 store.flash_mut().power_on();
-                campaign.injected += 1;
                 let kept = match load(&mut store) {
                     Ok(found) => found == new || (saves > 0 && found == old),
                     Err(StoreError::Empty | StoreError::Damaged) => saves == 0,
                     Err(_) => false,
                 };
-                campaign.lost_sets += u64::from(!kept || reported);
-                campaign.recovered += u64::from(keeps(&mut store, saves + 2));
+                campaign.case(kept && !reported, keeps(&mut store, saves + 2));
             }
         }
     }
@@ -156,9 +154,7 @@ pub fn protected<const S: usize>(
                     found == Ok(set(saves))
                 };
             store.flash_mut().protect(Protection::None);
-            campaign.injected += 1;
-            campaign.lost_sets += u64::from(!kept);
-            campaign.recovered += u64::from(keeps(&mut store, saves + 1));
+            campaign.case(kept, keeps(&mut store, saves + 1));
         }
     }
     Ok(campaign)
@@ -172,11 +168,9 @@ pub fn bit_rot<const S: usize>(saves: u32, seed: u64) -> Result<Campaign, StoreE
     for place in start as usize..start as usize + HEADER_BYTES + set(saves).len() {
         for bit in 0..8 {
             store.flash_mut().rot(place, bit);
-            campaign.injected += 1;
             let before = load(&mut store) == Ok(set(saves - 1));
-            campaign.lost_sets += u64::from(!before);
             store.flash_mut().rot(place, bit);
-            campaign.recovered += u64::from(load(&mut store) == Ok(set(saves)));
+            campaign.case(before, load(&mut store) == Ok(set(saves)));
         }
     }
     Ok(campaign)
@@ -192,14 +186,12 @@ pub fn foreign_sets<const S: usize>(seed: u64) -> Result<Campaign, StoreError> {
             for number in 0..foreign.min(slots(S as u32)) {
                 store.save(!Ur5::HASH, &set(1000 + number))?;
             }
-            campaign.injected += 1;
             let kept = match load(&mut store) {
                 Ok(found) => own > 0 && found == set(own),
                 Err(StoreError::WrongArm { found }) => found == !Ur5::HASH && own == 0,
                 Err(_) => false,
             };
-            campaign.lost_sets += u64::from(!kept);
-            campaign.recovered += u64::from(keeps(&mut store, own + 1));
+            campaign.case(kept, keeps(&mut store, own + 1));
         }
     }
     Ok(campaign)

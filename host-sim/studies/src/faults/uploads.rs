@@ -81,14 +81,12 @@ pub fn bad_uploads(
             })?;
         }
         let lost = accepted || host.rig.wrong_torques > wrong;
-        campaign.lost_sets += u64::from(lost);
-        campaign.injected += 1;
         let mut worked = false;
         for _ in 0..4 * ARM_EVERY {
             host.work()?;
             worked |= host.rig.state == SafetyState::Armed;
         }
-        campaign.recovered += u64::from(worked);
+        campaign.case(!lost, worked);
         host.rest()?;
     }
     Ok(host.close(campaign, true))

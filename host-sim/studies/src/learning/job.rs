@@ -1,7 +1,7 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
 use super::arms::WorldArm;
-use super::world::{Event, Scenario, Source, Start, TORQUE_LOOP_GAIN};
+use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::StudyError;
 use crate::bank_of;
@@ -11,7 +11,7 @@ use foretorque::learning::rated_payload;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::closed_loop::{PdConfig, motion_f32};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
-use foretorque_workbench::metrics::MOVING_RAD_S;
+use foretorque_workbench::metrics::{MOVING_RAD_S, root_mean};
 use foretorque_workbench::plant::Plant;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
@@ -64,7 +64,7 @@ impl<const N: usize> Bench<N> {
         };
         let limits = bench.truth.each(|joint| joint.limits.torque);
         let limits = Joints::<N>::from(limits.ok_or(StudyError::Joints(N))?);
-        let needed = bench.needed(&bench.plant(&Scenario::plain(), Source::Current)?);
+        let needed = bench.needed(&bench.plant(&PLAIN, Source::Current)?);
         let squares = needed.iter().fold(Joints::zeros(), |sum: Joints<N>, tau| {
             sum + tau.component_mul(tau) / UNSEEN_POINTS as f64
         });
@@ -89,15 +89,12 @@ impl<const N: usize> Bench<N> {
         set: &ParameterSet<N, P>,
         needed: &[Joints<N>],
     ) -> f64 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for (state, needed) in self.unseen.iter().zip(needed) {
+        let squares = self.unseen.iter().zip(needed).flat_map(|(state, needed)| {
             let torque: Joints<N> = evaluate::<A, N, P>(set, &motion_f32(state)).total.cast();
-            for j in (0..N).filter(|&j| state.qd[j].abs() > MOVING_RAD_S) {
-                sum += ((torque[j] - needed[j]) / self.scale[j]).powi(2);
-                count += 1.0;
-            }
-        }
-        (sum / f64::max(count, 1.0)).sqrt()
+            let moving = (0..N).filter(|&j| state.qd[j].abs() > MOVING_RAD_S);
+            moving.map(move |j| ((torque[j] - needed[j]) / self.scale[j]).powi(2))
+        });
+        root_mean(squares)
     }
 
     /// All scenarios of this arm whose names begin with `only`.
@@ -145,14 +142,13 @@ impl<const N: usize> Bench<N> {
         start: &ParameterBank,
         source: Source,
     ) -> Result<ParameterBank, StudyError> {
-        let scenario = Scenario::plain();
-        let path = scenario.trajectory::<N>(&self.described, self.seed.wrapping_add(900), false);
-        let plant = self.plant(&scenario, source)?;
+        let path = PLAIN.trajectory::<N>(&self.described, self.seed.wrapping_add(900), false);
+        let plant = self.plant(&PLAIN, source)?;
         let trace = self.run::<A, P>(
             (plant, source),
             &path,
             Some((start, false)),
-            scenario.ticks(false),
+            PLAIN.ticks(false),
             0.0,
         )?;
         let start = start.set::<A, N, P>()?;
@@ -173,7 +169,7 @@ impl<const N: usize> Bench<N> {
         let plant = self.plant(scenario, source)?;
         let plant = plant
             .with_events(events.clone())
-            .with_faults(scenario.faults());
+            .with_faults(scenario.faults);
         let ticks = scenario.ticks(quick);
         let learnt = self.run::<A, P>(
             (plant.clone(), source),

@@ -16,6 +16,7 @@ use foretorque_link::wire::{Field, TelemetryFrame};
 use foretorque_workbench::board::{Client, Native};
 use foretorque_workbench::closed_loop::{Answer, ClosedLoop, motion_f32};
 use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::identification::JointSums;
 use foretorque_workbench::metrics::{MOVING_RAD_S, TrackingError};
 use foretorque_workbench::plant::Plant;
 use foretorque_workbench::telemetry::numbers;
@@ -228,14 +229,6 @@ pub(super) struct Rows<const N: usize> {
     rows: Vec<ConditionedSample<N>>,
 }
 
-/// Sums of one joint's equations, columns in prior standard deviations.
-struct Sums {
-    gram: DMatrix<f64>,
-    moment: DVector<f64>,
-    power: f64,
-    count: f64,
-}
-
 impl<const N: usize> Rows<N> {
     /// No rows; a sample of the filter is `decimation` ticks.
     pub(super) fn new(decimation: u32) -> Self {
@@ -278,14 +271,16 @@ impl<const N: usize> Rows<N> {
             DVector::from_iterator(scale.len(), row.iter().map(|x| f64::from(*x)))
                 .component_mul(&scale)
         };
-        let sums: Vec<Sums> = (0..N)
+        // Columns in prior standard deviations.
+        let sums: Vec<JointSums> = (0..N)
             .map(|joint| {
                 let rows: Vec<_> = rows(joint).collect();
-                let mut sums = Sums::new(scale.len());
+                let mut sums = JointSums::new(scale.len());
                 for block in rows.chunks(BLOCK) {
                     let columns: Vec<_> = block.iter().map(|(row, _)| scaled(row)).collect();
-                    let tau = DVector::from_iterator(block.len(), block.iter().map(|(_, t)| *t));
-                    sums.add(&DMatrix::from_columns(&columns), &tau);
+                    let x = DMatrix::from_columns(&columns);
+                    let tau: Vec<f64> = block.iter().map(|(_, tau)| *tau).collect();
+                    sums.add(x.as_slice(), &tau);
                 }
                 sums
             })
@@ -303,7 +298,7 @@ impl<const N: usize> Rows<N> {
                 .map(|normal| (normal.solve(&right), normal))
         };
         for _ in 0..3 {
-            weights = std::array::from_fn(|joint| 1.0 / sums[joint].variance(&found));
+            weights = std::array::from_fn(|joint| 1.0 / sums[joint].mean_square(&found).max(1e-9));
             found = solve(&weights).map_or(found, |(found, _)| found);
         }
         // Half-second blocks of correlated residuals carry less information than as many independent ones.
@@ -348,30 +343,5 @@ fn correlation(residuals: &[f64]) -> f64 {
         (sums / plain).max(1.0)
     } else {
         1.0
-    }
-}
-
-impl Sums {
-    fn new(columns: usize) -> Self {
-        Self {
-            gram: DMatrix::zeros(columns, columns),
-            moment: DVector::zeros(columns),
-            power: 0.0,
-            count: 0.0,
-        }
-    }
-
-    /// Adds equations, one a column of `x`.
-    fn add(&mut self, x: &DMatrix<f64>, tau: &DVector<f64>) {
-        self.gram.gemm(1.0, x, &x.transpose(), 1.0);
-        self.moment.gemv(1.0, x, tau, 1.0);
-        self.power += tau.norm_squared();
-        self.count += tau.len() as f64;
-    }
-
-    /// Mean square residual, (N·m)²; never 0.
-    fn variance(&self, found: &DVector<f64>) -> f64 {
-        let sum = self.power - 2.0 * self.moment.dot(found) + found.dot(&(&self.gram * found));
-        (sum / self.count.max(1.0)).max(1e-9)
     }
 }

@@ -73,7 +73,7 @@ pub(super) struct Scenario {
     drift_min: f64,
     torque_noise: f64,
     drive_gain: f64,
-    faults: ReportFaults,
+    pub(super) faults: ReportFaults,
     /// PD control alone is run too.
     pub(super) against_pd: bool,
     /// Batch least squares on the rows of the run is the rival.
@@ -82,7 +82,8 @@ pub(super) struct Scenario {
 
 const BANK: &[(Start, Source)] = &[(Start::Bank, Source::Current)];
 
-const PLAIN: Scenario = Scenario {
+/// The scenario in which nothing happens.
+pub(super) const PLAIN: Scenario = Scenario {
     name: "",
     shows: "",
     starts: BANK,
@@ -190,11 +191,6 @@ const FIRST_EVENT_S: f64 = 12.0;
 const CYCLE_S: f64 = 10.0;
 
 impl Scenario {
-    /// The scenario in which nothing happens.
-    pub(super) const fn plain() -> Self {
-        PLAIN
-    }
-
     /// All scenarios, or those of the short form.
     pub(super) fn all(quick: bool) -> impl Iterator<Item = Self> {
         let scenarios = SCENARIOS.iter().map(|(name, shows, change)| {
@@ -252,11 +248,6 @@ impl Scenario {
             },
         };
         PlantConfig { effects, ..config }
-    }
-
-    /// Faults of the reports.
-    pub(super) fn faults(&self) -> ReportFaults {
-        self.faults
     }
 
     /// Motion of the arm, another one for each scenario.

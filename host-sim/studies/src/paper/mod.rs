@@ -17,6 +17,7 @@ pub use cell::{Cell, CellRecord, FRICTIONS, FrictionKind, MethodDraw};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::write_whole;
+use foretorque_workbench::metrics::root_mean;
 use foretorque_workbench::parallel::cores;
 use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::Robot;
@@ -254,9 +255,7 @@ fn summarise(records: &[CellRecord]) -> Vec<Condition> {
 impl MethodSummary {
     fn of(draws: &[&MethodDraw]) -> Self {
         let count = draws.len().max(1) as f64;
-        let rms = |pick: fn(&MethodDraw) -> f64| {
-            (draws.iter().map(|d| pick(d).powi(2)).sum::<f64>() / count).sqrt()
-        };
+        let rms = |pick: fn(&MethodDraw) -> f64| root_mean(draws.iter().map(|d| pick(d).powi(2)));
         let path = || draws.iter().map(|d| d.path_nrmse_ratio);
         Self {
             path_nrmse_ratio: rms(|d| d.path_nrmse_ratio),

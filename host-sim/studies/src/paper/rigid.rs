@@ -3,7 +3,7 @@
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::robot::{LINK_PARAMETERS, Robot};
-use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
+use foretorque_workbench::table::write_motion;
 use nalgebra::{DMatrix, DVector};
 use std::io;
 use std::path::Path;
@@ -92,25 +92,14 @@ pub(super) struct Curves {
 impl Curves {
     /// Writes the training data (steps 1 and 2) and the arbitrary path (step 4) as tables.
     pub(super) fn write(&self, out: &Path) -> io::Result<()> {
-        let mut header = vec!["t_s".to_owned()];
-        header.extend(state_columns(JOINTS));
-        header.extend(joint_columns("tau", "nm", JOINTS));
-        let mut table = TableWriter::create(&out.join("training.csv"), &header)?;
-        for (t_s, state, tau) in &self.data {
-            table.row(values(t_s, state).chain(tau.iter()))?;
-        }
-        table.finish()?;
-        header.extend(joint_columns("bp_physical", "nm", JOINTS));
-        header.extend(joint_columns("bp_black_box", "nm", JOINTS));
-        let mut table = TableWriter::create(&out.join("validation.csv"), &header)?;
-        for (t_s, state, torques) in &self.path {
-            table.row(values(t_s, state).chain(torques.iter().flat_map(|tau| tau.iter())))?;
-        }
-        table.finish()
+        let data = self.data.iter();
+        let data = data.map(|(t_s, state, tau)| (*t_s, *state, [*tau]));
+        write_motion(&out.join("training.csv"), ["tau"], data)?;
+        let torques = ["tau", "bp_physical", "bp_black_box"];
+        write_motion(
+            &out.join("validation.csv"),
+            torques,
+            self.path.iter().copied(),
+        )
     }
-}
-
-fn values<'a>(t_s: &'a f64, state: &'a State<JOINTS>) -> impl Iterator<Item = &'a f64> {
-    let motion = state.q.iter().chain(&state.qd).chain(&state.qdd);
-    std::iter::once(t_s).chain(motion)
 }

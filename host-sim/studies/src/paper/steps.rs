@@ -9,7 +9,7 @@ use foretorque_workbench::dynamics::{Joints, Motion, PerJoint, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{ColumnSet, Layout};
 use foretorque_workbench::kinematics::Inverse;
-use foretorque_workbench::metrics::TorqueError;
+use foretorque_workbench::metrics::{TorqueError, root_mean};
 use foretorque_workbench::robot::{Placement, Robot};
 use foretorque_workbench::training::{BlackBox, Descent, LinearLayer, PhysicalConfig};
 use foretorque_workbench::trajectory::Trajectory;
@@ -185,10 +185,8 @@ impl<'m> Known<'m> {
         let (training, validation) = order.split_at(order.len() * 4 / 5);
         let pick = |rows: &[usize]| -> Vec<_> { rows.iter().map(|&k| data[k]).collect() };
         let (training, validation) = (pick(training), pick(validation));
-        let scale = Joints::from_fn(|j, _| {
-            let power: f64 = training.iter().map(|(_, _, tau)| tau[j] * tau[j]).sum();
-            (power / training.len() as f64).sqrt()
-        });
+        let scale =
+            Joints::from_fn(|j, _| root_mean(training.iter().map(|(_, _, tau)| tau[j] * tau[j])));
         let torque = |(_, state): &(f64, State<JOINTS>)| model.dynamics.inverse_dynamics(state);
         Self {
             rows: model.rows(&training, &scale),
@@ -320,8 +318,7 @@ fn arbitrary_path(robot: &Robot, seed: u64) -> Vec<(f64, State<JOINTS>)> {
 
 fn joint_torque(path: &[(f64, State<JOINTS>, [Joints<JOINTS>; 3])], j: usize) -> JointTorque {
     let rms = |value: &dyn Fn(&[Joints<JOINTS>; 3]) -> f64| {
-        let square: f64 = path.iter().map(|(_, _, tau)| value(tau).powi(2)).sum();
-        (square / path.len().max(1) as f64).sqrt()
+        root_mean(path.iter().map(|(_, _, tau)| value(tau).powi(2)))
     };
     let peak = |of: usize| {
         let errors = path

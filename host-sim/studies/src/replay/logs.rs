@@ -9,6 +9,7 @@ use foretorque_workbench::identification::{
     IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig, Prepared,
     WholeLog, cut_offs, for_each_prepared, identify,
 };
+use foretorque_workbench::metrics::ErrorSums;
 use foretorque_workbench::robot::Robot;
 use std::path::{Path, PathBuf};
 
@@ -248,53 +249,41 @@ fn raw_rows<const N: usize>(
     Ok(rows)
 }
 
-/// Squared errors of one kind of prediction.
+/// Errors of one kind of prediction, a sum a joint.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Squares<const N: usize> {
-    sum: [f64; N],
-    count: [f64; N],
-}
+pub(super) struct Errors<const N: usize>([ErrorSums; N]);
 
-impl<const N: usize> Default for Squares<N> {
+impl<const N: usize> Default for Errors<N> {
     fn default() -> Self {
-        Self {
-            sum: [0.0; N],
-            count: [0.0; N],
-        }
+        Self([ErrorSums::default(); N])
     }
 }
 
-impl<const N: usize> Squares<N> {
-    pub(super) fn add(&mut self, joint: usize, error: f64) {
-        self.sum[joint] += error * error;
-        self.count[joint] += 1.0;
-    }
-
+impl<const N: usize> Errors<N> {
     /// RMS error of every joint that has moved, N·m.
     fn rms(&self) -> Vec<Option<f64>> {
-        let joints = self.sum.iter().zip(&self.count);
-        joints
-            .map(|(sum, &count)| (count > 0.0).then(|| (sum / count).sqrt()))
-            .collect()
+        self.0.iter().map(ErrorSums::rmse).collect()
     }
 
     /// RMS error over another one's.
     pub(super) fn over(&self, other: &Self) -> Vec<Option<f64>> {
-        let pairs = self.rms().into_iter().zip(other.rms());
-        pairs.map(|(own, other)| Some(own? / other?)).collect()
+        let pairs = self.0.iter().zip(&other.0);
+        pairs
+            .map(|(own, other)| Some(own.rmse()? / other.rmse()?))
+            .collect()
     }
 }
 
 /// Errors on one path. Those called aged leave out the rows for which there are no old parameters yet.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scores<const N: usize> {
-    pub(super) newest: Squares<N>,
-    pub(super) aged: Squares<N>,
-    pub(super) frozen: Squares<N>,
-    pub(super) plain: Squares<N>,
-    pub(super) rich: Squares<N>,
-    pub(super) plain_aged: Squares<N>,
-    pub(super) rich_aged: Squares<N>,
+    pub(super) newest: Errors<N>,
+    pub(super) aged: Errors<N>,
+    pub(super) frozen: Errors<N>,
+    pub(super) plain: Errors<N>,
+    pub(super) rich: Errors<N>,
+    pub(super) plain_aged: Errors<N>,
+    pub(super) rich_aged: Errors<N>,
     /// Largest error of the newest parameters over that of the start in a window, all joints over their torque limits.
     pub(super) worst_window: Option<f64>,
 }
@@ -304,16 +293,18 @@ impl<const N: usize> Scores<N> {
     pub(super) fn add(&mut self, stretch: &Stretch<N>, predicted: &Predictions, skipped: usize) {
         for (k, row) in stretch.rows.iter().enumerate() {
             for joint in moving(row) {
-                let error = |torques: &[f64]| torques[k * N + joint] - row.tau[joint];
-                let [plain, rich] = row.batch.map(|batch| batch[joint] - row.tau[joint]);
-                self.newest.add(joint, error(&predicted.newest));
-                self.frozen.add(joint, error(&predicted.frozen));
-                self.plain.add(joint, plain);
-                self.rich.add(joint, rich);
+                let add = |errors: &mut Errors<N>, predicted: f64| {
+                    errors.0[joint].add(row.tau[joint], predicted);
+                };
+                let [plain, rich] = row.batch.map(|batch| batch[joint]);
+                add(&mut self.newest, predicted.newest[k * N + joint]);
+                add(&mut self.frozen, predicted.frozen[k * N + joint]);
+                add(&mut self.plain, plain);
+                add(&mut self.rich, rich);
                 if k >= skipped {
-                    self.aged.add(joint, error(&predicted.aged));
-                    self.plain_aged.add(joint, plain);
-                    self.rich_aged.add(joint, rich);
+                    add(&mut self.aged, predicted.aged[k * N + joint]);
+                    add(&mut self.plain_aged, plain);
+                    add(&mut self.rich_aged, rich);
                 }
             }
         }
@@ -380,12 +371,12 @@ pub(super) fn motion_until_close<const N: usize>(
     let window = window as usize;
     // The window must end after the learner has had the time: what counts is motion before the window begins.
     (0..in_motion.len().saturating_sub(window)).find(|&begin| {
-        let (mut own, mut rich) = (Squares::<N>::default(), Squares::default());
+        let (mut own, mut rich) = (Errors::<N>::default(), Errors::default());
         for &k in &in_motion[begin..begin + window] {
             let row = &stretch.rows[k];
             for joint in moving(row) {
-                own.add(joint, newest[k * N + joint] - row.tau[joint]);
-                rich.add(joint, row.batch[1][joint] - row.tau[joint]);
+                own.0[joint].add(row.tau[joint], newest[k * N + joint]);
+                rich.0[joint].add(row.tau[joint], row.batch[1][joint]);
             }
         }
         let ratios: Vec<f64> = own.over(&rich).into_iter().flatten().collect();

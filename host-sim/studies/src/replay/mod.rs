@@ -206,31 +206,21 @@ pub fn real_ur5(
     let paths: Vec<ReplayPath> = paths.collect();
     // The clocks of these logs have lost rows; the controller's period is known.
     let period_s = Some(8e-3);
-    let outcome = at_period::<Ur5, { ur5::JOINTS }, PARAMETERS>(
-        &robot, &paths, start, seed, period_s, progress,
-    )?;
+    let outcome =
+        run::<Ur5, { ur5::JOINTS }, PARAMETERS>(&robot, &paths, start, seed, period_s, progress)?;
     Ok(Outcome {
         text: format!("host-sim experiment replay-real\n\n{}", outcome.text),
         ..outcome
     })
 }
 
-/// Replays logs to a board that starts from a set, on the clock of the first log. Returns the figures and the page.
+/// Replays logs to a board that starts from a set. Returns the figures and the page.
 ///
 /// * `start` its name, the set, and its deviations
+/// * `period_s` time between two rows; where none is given, that of the first log
 ///
 /// Errors: a log is missing or damaged; an identification fails.
 pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
-    robot: &Robot,
-    paths: &[ReplayPath],
-    start: (&str, ParameterSet<N, P>, StartDeviations<N, P>),
-    seed: u64,
-    progress: Progress<'_>,
-) -> Result<Outcome<ReplayReport>, StudyError> {
-    at_period::<A, N, P>(robot, paths, start, seed, None, progress)
-}
-
-fn at_period<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
     paths: &[ReplayPath],
     (named, set, deviations): (&str, ParameterSet<N, P>, StartDeviations<N, P>),
@@ -330,26 +320,18 @@ fn within_1_1<A: Arm<N, P>, const N: usize, const P: usize>(
     start: &Start<N, P>,
     progress: Progress<'_>,
 ) -> Result<Vec<Option<f64>>, StudyError> {
-    let mut times = Vec::new();
-    for path in 0..paths {
+    let time = |path| {
         progress("fresh on each path", path, paths);
         let mut board = Board::<A, N, P>::new(start)?;
-        let first = stretches.iter().find(|stretch| stretch.path == path);
-        times.push(match first {
-            Some(stretch) => {
-                let predicted = play(&mut board, &mut VecDeque::new(), stretch);
-                logs::motion_until_close(
-                    stretch,
-                    &predicted.newest,
-                    WINDOW_S / start.period_s,
-                    CLOSE,
-                )
-                .map(|rows| rows as f64 * start.period_s)
-            }
-            None => None,
-        });
-    }
-    Ok(times)
+        let Some(first) = stretches.iter().find(|stretch| stretch.path == path) else {
+            return Ok(None);
+        };
+        let newest = play(&mut board, &mut VecDeque::new(), first).newest;
+        let window = WINDOW_S / start.period_s;
+        let rows = logs::motion_until_close(first, &newest, window, CLOSE);
+        Ok(rows.map(|rows| rows as f64 * start.period_s))
+    };
+    (0..paths).map(time).collect()
 }
 
 /// Error of parameters 10 s old over the reference's, geometric mean, of boards that have learnt all other paths before.

@@ -123,7 +123,7 @@ impl Emulator {
             fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
         }
         let mut buffer = [0; 256];
-        match emulator.read(&mut buffer, BOOT)? {
+        match emulator.receive(&mut buffer, BOOT)? {
             0 => {
                 let waited_s = BOOT.as_secs_f64();
                 Err(io::Error::other(format!(
@@ -145,49 +145,6 @@ impl Emulator {
     /// The ports of the frames, where the board has a wiring: USART6 and UART4.
     pub fn take_frame_ports(&mut self) -> Option<[OwnedFd; 2]> {
         self.frame_ports.take()
-    }
-
-    /// Sends all bytes.
-    ///
-    /// Errors: an emulator that died; a board that takes nothing for [`PATIENCE`].
-    pub fn write(&mut self, mut bytes: &[u8]) -> io::Result<()> {
-        while !bytes.is_empty() {
-            match nix::unistd::write(&self.to_board, bytes) {
-                Ok(sent) => bytes = &bytes[sent..],
-                Err(nix::Error::EINTR) => {}
-                Err(nix::Error::EAGAIN) => {
-                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, PATIENCE)? {
-                        let waited_s = PATIENCE.as_secs_f64();
-                        let problem =
-                            format!("the emulated board took no bytes for {waited_s:.1} s");
-                        return Err(io::Error::other(problem));
-                    }
-                }
-                Err(error) => return Err(self.broken(error)),
-            }
-        }
-        Ok(())
-    }
-
-    /// Waits at most `patience` for bytes and returns how many came; 0 when none did.
-    pub fn read(&mut self, buffer: &mut [u8], patience: Duration) -> io::Result<usize> {
-        if !self.greeting.is_empty() {
-            let count = buffer.len().min(self.greeting.len());
-            buffer[..count].copy_from_slice(&self.greeting[..count]);
-            self.greeting.drain(..count);
-            return Ok(count);
-        }
-        loop {
-            if !self.audible(patience)? {
-                return Ok(0);
-            }
-            match nix::unistd::read(self.ear(), buffer) {
-                Ok(0) => return Err(self.broken(nix::Error::EPIPE)),
-                Ok(count) => return Ok(count),
-                Err(nix::Error::EINTR | nix::Error::EAGAIN) => {}
-                Err(error) => return Err(self.broken(error)),
-            }
-        }
     }
 
     /// Hangs up and waits for the emulator to end by itself, as the bulk firmware does. True when it did so well.
@@ -233,12 +190,44 @@ impl Transport for Emulator {
         format!("qemu ({})", self.image.name())
     }
 
-    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.write(bytes)
+    /// Errors: an emulator that died; a board that takes nothing for [`PATIENCE`].
+    fn send(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+        while !bytes.is_empty() {
+            match nix::unistd::write(&self.to_board, bytes) {
+                Ok(sent) => bytes = &bytes[sent..],
+                Err(nix::Error::EINTR) => {}
+                Err(nix::Error::EAGAIN) => {
+                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, PATIENCE)? {
+                        let waited_s = PATIENCE.as_secs_f64();
+                        let problem =
+                            format!("the emulated board took no bytes for {waited_s:.1} s");
+                        return Err(io::Error::other(problem));
+                    }
+                }
+                Err(error) => return Err(self.broken(error)),
+            }
+        }
+        Ok(())
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.read(buffer, timeout)
+        if !self.greeting.is_empty() {
+            let count = buffer.len().min(self.greeting.len());
+            buffer[..count].copy_from_slice(&self.greeting[..count]);
+            self.greeting.drain(..count);
+            return Ok(count);
+        }
+        loop {
+            if !self.audible(timeout)? {
+                return Ok(0);
+            }
+            match nix::unistd::read(self.ear(), buffer) {
+                Ok(0) => return Err(self.broken(nix::Error::EPIPE)),
+                Ok(count) => return Ok(count),
+                Err(nix::Error::EINTR | nix::Error::EAGAIN) => {}
+                Err(error) => return Err(self.broken(error)),
+            }
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Profile of an arm: its drives, buses and rate, from a TOML file; and the time of a frame on its bus.
 
 use super::BusError;
+use crate::files::toml_complaint;
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusConfig, BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Carry, DriveProfile, Frame, Frames, JointCommand, JointReply};
@@ -76,11 +77,8 @@ impl Profile {
     pub fn parse(file: &str, text: &str) -> Result<Self, BusError> {
         let refused = |problem| refused(file, problem);
         let mut profile: Self = toml::from_str(text).map_err(|error| {
-            let line = error
-                .span()
-                .map_or(1, |span| text[..span.start].lines().count().max(1));
-            let message = error.message().split_whitespace().collect::<Vec<_>>();
-            refused(format!("line {line}: {}", message.join(" ")))
+            let (line, reason) = toml_complaint(text, &error);
+            refused(format!("line {line}: {reason}"))
         })?;
         file.clone_into(&mut profile.file);
         let check = |sound: bool, problem: String| match sound {

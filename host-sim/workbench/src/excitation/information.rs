@@ -3,7 +3,7 @@
 use super::rows::Rows;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::joints;
-use crate::metrics::{MOVING_RAD_S, condition_of};
+use crate::metrics::{MOVING_RAD_S, condition_of, scaled};
 use crate::robot::Robot;
 use crate::trajectory::via::ViaPath;
 use nalgebra::{Cholesky, DMatrix};
@@ -52,7 +52,7 @@ pub(super) struct Experiment {
 }
 
 /// Figures of a path.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Worth {
     /// ln of the condition number (smooth upper bound of it).
     pub(super) ln_condition: f64,
@@ -116,10 +116,7 @@ impl Experiment {
         let size = information
             .diagonal()
             .map(|d| d.max(f64::MIN_POSITIVE).sqrt().recip());
-        let scaled = DMatrix::from_fn(size.len(), size.len(), |i, j| {
-            information[(i, j)] * size[i] * size[j]
-        });
-        let factor = Cholesky::new(scaled)?;
+        let factor = Cholesky::new(scaled(&information, &size))?;
         let mut covariance = factor.inverse();
         let log_det: f64 = factor
             .l_dirty()
@@ -205,7 +202,7 @@ impl Experiment {
                 }
             }
         }
-        let worth = self.worth(&transposed, |_| Worth::NONE, None)?;
+        let worth = self.worth(&transposed, |_| Worth::default(), None)?;
         let (_, covariance, _) = self.covariance(&transposed)?;
         let errors = self.tasks.iter().map(|task| covariance.dot(task).sqrt());
         Some((condition, worth, errors.collect()))
@@ -232,12 +229,4 @@ pub(super) fn condition_number(rows: &Rows, states: &[Motion]) -> f64 {
 fn condition(transposed: &DMatrix<f64>, columns: usize) -> f64 {
     let links = transposed.rows(0, columns);
     condition_of(&(links * links.transpose()))
-}
-
-impl Worth {
-    pub(super) const NONE: Self = Self {
-        ln_condition: 0.0,
-        ln_error: 0.0,
-        ln_spread: 0.0,
-    };
 }

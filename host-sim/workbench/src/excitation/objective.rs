@@ -186,7 +186,7 @@ impl Objective {
 
     /// The criterion with the penalty on the condition number, and its derivatives.
     fn shares(&self, worth: &Worth, weight: f64) -> (f64, Worth) {
-        let mut share = Worth::NONE;
+        let mut share = Worth::default();
         let value = match self.criterion {
             Criterion::Condition => {
                 share.ln_condition = 1.0;

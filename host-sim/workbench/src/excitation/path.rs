@@ -93,7 +93,8 @@ impl Excitation {
     /// The series in f32, with the bounds it keeps: taken anew from the coefficients, as a certificate in a file proves
     /// nothing.
     ///
-    /// * `periods` how often it is played; 0 until stopped      * `tracking_rad` tracking error that ends it, rad
+    /// * `periods` how often it is played; 0 until stopped
+    /// * `tracking_rad` tracking error that ends it, rad
     ///
     /// Errors: it has not `N` joints, or a period that the board cannot count.
     pub fn program<const N: usize>(

@@ -109,7 +109,7 @@ impl TorqueRates {
 }
 
 /// Derivatives by the motion of a link, in the base frame.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct LinkSlopes {
     /// By a small turn of the link about the base's axes.
     turn: Vector3<f64>,
@@ -121,15 +121,6 @@ struct LinkSlopes {
 }
 
 impl LinkSlopes {
-    const NONE: Self = Self {
-        turn: Vector3::new(0.0, 0.0, 0.0),
-        origin: Vector3::new(0.0, 0.0, 0.0),
-        acceleration: Vector3::new(0.0, 0.0, 0.0),
-        axis: Vector3::new(0.0, 0.0, 0.0),
-        omega: Vector3::new(0.0, 0.0, 0.0),
-        alpha: Vector3::new(0.0, 0.0, 0.0),
-    };
-
     /// Takes in the slope `by` of `α × r + ω × (ω × r)`, and returns that by r.
     fn take_lever(
         &mut self,
@@ -172,14 +163,9 @@ impl Rows {
         // Weights of joint torques: `pullᵀ C⁻ᵀ`.
         let mut of_joints = pull.to_vec();
         if let Some(coupling) = &self.coupling {
-            for column in 0..self.link_columns.len() {
-                let mut weights = PerJoint::from_fn(links.len(), |j| pull[j * width + column]);
-                coupling.to_joints(&mut weights);
-                let weights = weights.iter().enumerate();
-                weights.for_each(|(j, weight)| of_joints[j * width + column] = *weight);
-            }
+            self.for_each_link_column(&mut of_joints, |weights| coupling.to_joints(weights));
         }
-        let mut by = vec![LinkSlopes::NONE; links.len()];
+        let mut by = vec![LinkSlopes::default(); links.len()];
         for k in 0..links.len() {
             for j in 0..=k {
                 let weights = self.weights(k, &of_joints[j * width..(j + 1) * width]);

@@ -104,6 +104,22 @@ impl Rows {
         before(link)..before(link + 1)
     }
 
+    /// Lets `work` change the entries of every link column of `block` in turn, one a joint; `block` has N rows of
+    /// [`count`](Self::count) entries, one after the other.
+    pub(super) fn for_each_link_column(
+        &self,
+        block: &mut [f64],
+        work: impl Fn(&mut PerJoint<f64>),
+    ) {
+        let width = self.count();
+        for column in 0..self.link_columns.len() {
+            let mut entries = PerJoint::from_fn(self.joints(), |j| block[j * width + column]);
+            work(&mut entries);
+            let entries = entries.iter().enumerate();
+            entries.for_each(|(j, entry)| block[j * width + column] = *entry);
+        }
+    }
+
     /// Motion of the joints under a motion of the drives.
     pub(super) fn of_joints(&self, drives: &Motion) -> Motion {
         let mut joints = *drives;
@@ -189,12 +205,7 @@ impl Rows {
         }
         let rotors = self.link_columns.len();
         if let Some(coupling) = &self.coupling {
-            for column in 0..rotors {
-                let mut torques = PerJoint::from_fn(self.joints(), |j| out[j * width + column]);
-                coupling.to_drive_torques(&mut torques);
-                let torques = torques.iter().enumerate();
-                torques.for_each(|(j, torque)| out[j * width + column] = *torque);
-            }
+            self.for_each_link_column(out, |torques| coupling.to_drive_torques(torques));
         }
         for (c, &joint) in self.rotor_columns.iter().enumerate() {
             out[joint * width + rotors + c] = state.qdd[joint];

@@ -22,21 +22,29 @@ pub(super) enum Clock {
     Stamps,
 }
 
+/// Mean period of the steps, s, from their median: steps that scatter about two lengths have their median at the edge of the
+/// shorter.
+pub(super) fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
+    let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * median_s);
+    let (time_s, periods) = short.fold((0.0, 0.0), |(time_s, periods), step_s| {
+        (
+            time_s + step_s,
+            periods + (step_s / median_s).round().max(1.0),
+        )
+    });
+    if periods > 0.0 {
+        time_s / periods
+    } else {
+        median_s
+    }
+}
+
 /// The clock of a log, from its first rows. Where steps are uneven and the log has velocities, these decide: stamps are
 /// true where dq = q̇ dt holds better with them than with even steps.
 pub(super) fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
     let (mut jitter, mut count, mut shortest) = (0.0, 0.0, f64::INFINITY);
-    // Steps that scatter about two lengths have their median at the edge of the shorter.
     let steps = rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
-    let whole = |step_s: f64| (step_s / period_s).round().max(1.0);
-    let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * period_s);
-    let sums = short.map(|step_s| (step_s, whole(step_s)));
-    let (time_s, periods) = sums.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
-    let period_s = if periods > 0.0 {
-        time_s / periods
-    } else {
-        period_s
-    };
+    let period_s = mean_period_s(steps, period_s);
     // Squared errors of dq by the stamps and by even steps, and squared differences between both. Errors of the velocities
     // are in both: if the stamps are true, `by_steps − by_stamps` is `apart`; if the steps are even, it is `−apart`.
     let (mut by_stamps, mut by_steps, mut apart) = (0.0, 0.0, 0.0);

@@ -8,28 +8,12 @@ use std::path::PathBuf;
 
 const ROWS: usize = 60;
 
-/// A directory that goes with its test.
-struct Directory(PathBuf);
-
-impl Directory {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
-        fs::create_dir_all(&path).expect("creates");
-        Self(path)
-    }
-
-    /// Rows and notes of a log with this content.
-    fn read(&self, name: &str, text: &str, robot: &Robot) -> Result<(Vec<LogRow>, String), String> {
-        let path = self.0.join(name);
-        fs::write(&path, text).expect("writes");
-        read(&path, robot)
-    }
-}
-
-impl Drop for Directory {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
+/// Rows and notes of a log of this name and content.
+fn read_text(name: &str, text: &str, robot: &Robot) -> Result<(Vec<LogRow>, String), String> {
+    let here = tempfile::tempdir().expect("creates");
+    let path = here.path().join(name);
+    fs::write(&path, text).expect("writes");
+    read(&path, robot)
 }
 
 fn read(path: &std::path::Path, robot: &Robot) -> Result<(Vec<LogRow>, String), String> {
@@ -117,7 +101,6 @@ fn is_the_motion(rows: &[LogRow], name: &str) {
 
 #[test]
 fn every_source_gives_the_same_rows() {
-    let here = Directory::new("log-sources");
     let degrees = [1.0, PI / 180.0, PI / 180.0, 1.0];
     let semicolons = own().replace(',', ";").replace('.', ",");
     let rtde = [
@@ -160,7 +143,7 @@ fn every_source_gives_the_same_rows() {
         ),
     ];
     for (name, text, note) in known {
-        let (rows, notes) = here.read(name, &text, &ur5()).expect(name);
+        let (rows, notes) = read_text(name, &text, &ur5()).expect(name);
         is_the_motion(&rows, name);
         assert!(notes.contains(note), "{name}: {notes}");
     }
@@ -179,14 +162,13 @@ fn every_source_gives_the_same_rows() {
         let mut robot = ur5();
         let columns: LogColumns = toml::from_str(&columns).expect("a map");
         robot.log_columns = Some(LogColumns { names, ..columns });
-        let (rows, _) = here.read("mapped.csv", text, &robot).expect("mapped");
+        let (rows, _) = read_text("mapped.csv", text, &robot).expect("mapped");
         is_the_motion(&rows, "mapped");
     }
 }
 
 #[test]
 fn wrapped_angles_continue_on_continuous_joints_only() {
-    let here = Directory::new("log-wraps");
     let mut text = own().lines().next().expect("header").to_owned() + "\n";
     for k in 0..ROWS {
         let (t, mut q, qd, tau) = row(k);
@@ -195,13 +177,13 @@ fn wrapped_angles_continue_on_continuous_joints_only() {
         let fields: Vec<String> = values.iter().map(f64::to_string).collect();
         text += &(fields.join(",") + "\n");
     }
-    let (rows, notes) = here.read("wrapped.csv", &text, &ur5()).expect("continuous");
+    let (rows, notes) = read_text("wrapped.csv", &text, &ur5()).expect("continuous");
     is_the_motion(&rows, "wrapped");
     let wraps = "angles un-wrapped: joint 6 1 times";
     assert!(notes.contains(wraps), "{notes}");
     let mut limited = ur5();
     limited.joints[5].limits.position = (-3.0, 3.0);
-    let refused = here.read("wrapped.csv", &text, &limited);
+    let refused = read_text("wrapped.csv", &text, &limited);
     let refused = refused.expect_err("limited");
     let jump = "wrapped.csv:28: column q6_rad: a jump of -6.158 rad";
     assert!(refused.starts_with(jump), "{refused}");
@@ -214,7 +196,7 @@ fn wrapped_angles_continue_on_continuous_joints_only() {
         let fields: Vec<String> = values.iter().map(f64::to_string).collect();
         text += &(fields.join(",") + "\n");
     }
-    let refused = here.read("swapped.csv", &text, &limited);
+    let refused = read_text("swapped.csv", &text, &limited);
     let refused = refused.expect_err("noise is no position");
     assert!(
         refused.contains("positions and torques are swapped"),
@@ -224,7 +206,6 @@ fn wrapped_angles_continue_on_continuous_joints_only() {
 
 #[test]
 fn logs_that_do_not_fit_are_refused_by_name() {
-    let here = Directory::new("log-refused");
     let own = own();
     let lines: Vec<&str> = own.split_inclusive('\n').collect();
     let foreign = own.replace("t_s", "clock_time").replace("q", "jnt_pos");
@@ -269,7 +250,7 @@ fn logs_that_do_not_fit_are_refused_by_name() {
         ("broken.mcap", "no MCAP".to_owned(), "broken.mcap: no MCAP"),
     ];
     for (name, text, wanted) in cases {
-        let refused = here.read(name, &text, &ur5()).expect_err(name);
+        let refused = read_text(name, &text, &ur5()).expect_err(name);
         assert!(refused.contains(wanted), "{name}: {refused}");
     }
 }
@@ -292,9 +273,9 @@ fn bags_are_read_as_another_reader_reads_them() {
         same("panda", data.join(log), data.join("panda.csv.gz"), 727);
     }
     // A file that was cut reads up to its last whole chunk, and a cut database is refused.
-    let here = Directory::new("log-cut");
+    let here = tempfile::tempdir().expect("creates");
     let whole = fs::read(data.join("panda.mcap")).expect("reads");
-    let cut = here.0.join("cut.mcap");
+    let cut = here.path().join("cut.mcap");
     fs::write(&cut, &whole[..whole.len() / 2]).expect("writes");
     let panda = Robot::load("panda").expect("built in");
     match read(&cut, &panda) {
@@ -303,7 +284,7 @@ fn bags_are_read_as_another_reader_reads_them() {
         Err(refused) => assert!(refused.contains("cut.mcap"), "{refused}"),
     }
     let bag = fs::read(data.join("panda.db3")).expect("reads");
-    let cut = here.0.join("cut.db3");
+    let cut = here.path().join("cut.db3");
     fs::write(&cut, &bag[..bag.len() / 2]).expect("writes");
     let refused = read(&cut, &panda).expect_err("malformed");
     assert!(refused.contains("malformed"), "{refused}");
@@ -312,20 +293,19 @@ fn bags_are_read_as_another_reader_reads_them() {
 /// Motions and torques of the joints, and currents of the drives, of an arm whose last drives turn two joints.
 #[test]
 fn logs_of_coupled_joints_become_those_of_the_drives() {
-    let here = Directory::new("log-coupling");
     let mut text = ur5().to_toml().expect("serialises");
     text += "\n[coupling]\njoints = ['wrist_2', 'wrist_3']\nmatrix = [[1, 1], [1, -1]]\n";
     let mut robot = Robot::parse("coupled", &text).expect("a description");
-    let (drives, _) = here.read("drives.csv", &own(), &robot).expect("a log");
+    let (drives, _) = read_text("drives.csv", &own(), &robot).expect("a log");
     is_the_motion(&drives, "drives");
     let map = LogColumns {
         of_joints: true,
         ..LogColumns::default()
     };
     robot.log_columns = Some(map);
-    let (joints, _) = here.read("joints.csv", &own(), &robot).expect("a log");
+    let (joints, _) = read_text("joints.csv", &own(), &robot).expect("a log");
     let currents = own().replace("_nm", "_a").replace("tau", "i");
-    let (currents, _) = here.read("currents.csv", &currents, &robot).expect("a log");
+    let (currents, _) = read_text("currents.csv", &currents, &robot).expect("a log");
     for ((joint, current), k) in joints.iter().zip(&currents).zip(0..) {
         let (_, q, _, tau) = row(k);
         let close = |a: f64, b: f64| (a - b).abs() < 1e-9;

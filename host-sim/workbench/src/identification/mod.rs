@@ -41,6 +41,7 @@ pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify};
 pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
+pub use normal::JointSums;
 pub use page::page;
 pub use prepare::{Preparation, PrepareConfig, Prepared, cut_offs, longest_period_s};
 pub use problem::{Candidate, MethodResult, Progress};

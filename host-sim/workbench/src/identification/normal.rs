@@ -7,7 +7,7 @@
 use super::IdentifyError;
 use super::columns::Layout;
 use crate::dynamics::PerJoint;
-use crate::metrics::condition_of;
+use crate::metrics::{condition_of, scaled};
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
 /// Least part of a column that the columns left of it do not explain, as a share of its length. Useful excitations leave
@@ -16,7 +16,7 @@ const INDEPENDENT: f64 = 1e-4;
 
 /// Sums of one joint's equations.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct JointSums {
+pub struct JointSums {
     /// XᵀX over the joint's active columns.
     pub gram: DMatrix<f64>,
     /// Xᵀτ.
@@ -28,7 +28,8 @@ pub(super) struct JointSums {
 }
 
 impl JointSums {
-    pub(super) fn new(active: usize) -> Self {
+    /// Sums over no equations of `active` columns.
+    pub fn new(active: usize) -> Self {
         Self {
             gram: DMatrix::zeros(active, active),
             moment: DVector::zeros(active),
@@ -38,7 +39,7 @@ impl JointSums {
     }
 
     /// Adds equations: `x` row after row, `tau` one a row.
-    pub(super) fn add(&mut self, x: &[f64], tau: &[f64]) {
+    pub fn add(&mut self, x: &[f64], tau: &[f64]) {
         if tau.is_empty() {
             return;
         }
@@ -51,7 +52,7 @@ impl JointSums {
     }
 
     /// Mean square error of these parameters, N²·m².
-    pub(super) fn mean_square(&self, theta: &DVector<f64>) -> f64 {
+    pub fn mean_square(&self, theta: &DVector<f64>) -> f64 {
         let sum = self.power - 2.0 * self.moment.dot(theta) + theta.dot(&(&self.gram * theta));
         (sum / self.count.max(1.0)).max(0.0)
     }
@@ -160,10 +161,7 @@ pub(super) fn equilibrated(gram: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) 
     let inverse = gram
         .diagonal()
         .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
-    let scaled = DMatrix::from_fn(gram.nrows(), gram.ncols(), |r, c| {
-        gram[(r, c)] * inverse[r] * inverse[c]
-    });
-    (scaled, inverse)
+    (scaled(gram, &inverse), inverse)
 }
 
 /// Solution of `gram · theta = moment` and the inverse of `gram`, by Cholesky's method on columns of unit length; `None`
@@ -172,14 +170,10 @@ pub(super) fn solve(
     gram: &DMatrix<f64>,
     moment: &DVector<f64>,
 ) -> Option<(DVector<f64>, DMatrix<f64>)> {
-    let (scaled, inverse) = equilibrated(gram);
-    let cholesky = scaled.cholesky()?;
+    let (unit, inverse) = equilibrated(gram);
+    let cholesky = unit.cholesky()?;
     let theta = cholesky
         .solve(&moment.component_mul(&inverse))
         .component_mul(&inverse);
-    let scaled_inverse = cholesky.inverse();
-    let covariance = DMatrix::from_fn(gram.nrows(), gram.ncols(), |r, c| {
-        scaled_inverse[(r, c)] * inverse[r] * inverse[c]
-    });
-    Some((theta, covariance))
+    Some((theta, scaled(&cholesky.inverse(), &inverse)))
 }

@@ -13,7 +13,7 @@ use foretorque::learning::network_inputs;
 use nalgebra::DVector;
 
 /// Progress of an identification: stage, and the loss while a network trains.
-pub type Progress<'a> = &'a dyn Fn(&str);
+pub type Progress<'a> = &'a (dyn Fn(&str) + Sync);
 
 /// A problem to be solved on any rows.
 #[derive(Clone, Copy)]

@@ -217,14 +217,16 @@ impl MethodRecord {
     }
 
     /// The record of a result, without validation logs.
+    ///
+    /// * `described` parameters of the description; `intervals` 95 % of each parameter
     pub(super) fn of(
         result: &MethodResult,
         layout: &Layout,
         truth: Option<&[Option<f64>]>,
-        split_80_20: SplitRecord,
+        described: &DVector<f64>,
+        intervals: Option<&[[f64; 2]]>,
     ) -> Self {
         let mut record = Self {
-            split_80_20,
             rows: result.rows,
             epochs: result.epochs,
             seconds: result.seconds,
@@ -247,8 +249,8 @@ impl MethodRecord {
                     value: fit.theta[place],
                     unit: parameter.unit.to_owned(),
                     std: deviations[place],
-                    ci95: None,
-                    description: None,
+                    ci95: intervals.map(|intervals| intervals[place]),
+                    description: Some(described[place]),
                     truth: truth.and_then(|truth| truth[place]),
                 })
                 .collect();

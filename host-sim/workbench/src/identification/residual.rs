@@ -6,13 +6,12 @@ use super::columns::Layout;
 use super::methods::{Fit, MethodName, wls};
 use super::normal::NormalEquations;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
-use crate::Refusal;
 use crate::dynamics::PerJoint;
+use crate::parallel::in_parallel;
 use crate::training::train_residual;
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
-use std::sync::mpsc::channel;
 
 /// Number of fits of the linear model, each to what the networks leave: a friction curve that the linear model cannot
 /// follow would bias its other parameters.
@@ -59,9 +58,6 @@ pub(super) fn residual(
     let mean: Vec<f64> = (0..epochs)
         .map(|epoch| losses.iter().map(|own| at(own, epoch)).sum::<f64>() / joints as f64)
         .collect();
-    if networks.len() < joints {
-        return Err(Refusal("a network could not be trained".to_owned()).into());
-    }
     let (fit, cogging) = linear;
     let alone = data.sums.clean.subset(problem.layout, problem.board);
     let alone = wls(&alone, problem.board).ok_or(IdentifyError::Unsolvable)?;
@@ -142,8 +138,7 @@ fn train(
     limits: &[f64],
     progress: Progress<'_>,
 ) -> Vec<Trained> {
-    let (sender, steps) = channel();
-    let train = |joint: usize, sender: std::sync::mpsc::Sender<(usize, usize, f64)>| {
+    let train = |&joint: &usize| {
         let halves = [0, 1].map(|half| {
             let (layout, place) = (problem.layout, (joint, half));
             data.speeds
@@ -151,29 +146,14 @@ fn train(
         });
         let fastest = problem.robot.joints[joint].limits.velocity;
         train_residual(&halves, fastest, problem.seed, &mut |step, loss| {
-            // The receiver is gone only when the command already fails.
-            let _ = sender.send((joint, step, loss));
-        })
-    };
-    std::thread::scope(|scope| {
-        let (train, sender) = (&train, sender);
-        let joints: Vec<_> = (0..limits.len())
-            .map(|joint| {
-                let sender = sender.clone();
-                scope.spawn(move || train(joint, sender))
-            })
-            .collect();
-        drop(sender);
-        for (joint, step, loss) in steps {
             let (joint, percent) = (joint + 1, 100.0 * loss);
             progress(&format!(
                 "bp_residual  joint {joint}  step {step}  loss {percent:.4} % of the torque limit"
             ));
-        }
-        // The panic of a thread is reported already.
-        let joints = joints.into_iter();
-        joints.filter_map(|joint| joint.join().ok()).collect()
-    })
+        })
+    };
+    let joints: Vec<usize> = (0..limits.len()).collect();
+    in_parallel(joints.len(), &joints, train, || ())
 }
 
 /// A fit over the columns of the board as one over all columns; the others are zero, with variance zero.

@@ -49,17 +49,10 @@ impl Study<'_> {
         let described = description(self.problem.robot, layout);
         let mut methods = Methods::new();
         for (result, split) in self.results.iter().zip(splits) {
-            let mut record = MethodRecord::of(result, layout, truth, split);
-            for parameter in &mut record.parameters {
-                let names = layout.parameters.iter().map(|own| &own.name);
-                let place = names.into_iter().position(|name| *name == parameter.name);
-                parameter.description = place.map(|place| described[place]);
-            }
             let intervals = parameter_intervals(layout, data, result, seed);
-            let intervals = intervals.into_iter().flatten();
-            for (parameter, interval) in record.parameters.iter_mut().zip(intervals) {
-                parameter.ci95 = Some(interval);
-            }
+            let intervals = intervals.as_deref();
+            let mut record = MethodRecord::of(result, layout, truth, &described, intervals);
+            record.split_80_20 = split;
             if result.name == MethodName::BpPhysical {
                 record.base_parameter_error_ratio_by_epoch =
                     error_curve(data, layout, &self.bound, truth, seed);

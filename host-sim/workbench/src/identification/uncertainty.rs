@@ -10,6 +10,7 @@ use super::methods::{Fit, MethodName};
 use super::normal::{NormalEquations, solve};
 use super::problem::{MethodResult, TrainingData};
 use crate::dynamics::PerJoint;
+use crate::metrics::scaled;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -54,15 +55,12 @@ pub(super) fn parameter_intervals(
     result: &MethodResult,
     seed: u64,
 ) -> Option<Vec<[f64; 2]>> {
-    let robust = match result.name {
-        MethodName::Ols | MethodName::Wls => false,
-        MethodName::Irls => true,
-        _ => return None,
-    };
     let fit = result.fit.as_ref()?;
-    let sigma = match result.name {
-        MethodName::Ols => PerJoint::repeat(layout.joints(), 1.0),
-        _ => fit.sigma,
+    let (robust, prior, sigma) = match result.name {
+        MethodName::Ols => (false, false, PerJoint::repeat(layout.joints(), 1.0)),
+        MethodName::Wls => (false, true, fit.sigma),
+        MethodName::Irls => (true, true, fit.sigma),
+        _ => return None,
     };
     let stride = data.sample.len().div_ceil(ROWS).max(1);
     let rows: Vec<&SampleRow> = data.sample.iter().copied().step_by(stride).collect();
@@ -82,7 +80,7 @@ pub(super) fn parameter_intervals(
             gram += &blocks[place].0;
             moment += &blocks[place].1;
         }
-        if result.name != MethodName::Ols {
+        if prior {
             layout.add_prior(&mut gram);
         }
         // A draw may miss the blocks which show a parameter.
@@ -139,10 +137,10 @@ pub(super) fn with_block_deviations(
         let surer = found > 0.0 && own > found;
         if surer { (own / found).sqrt() } else { 1.0 }
     });
-    let covariance = DMatrix::from_fn(scale.len(), scale.len(), |r, c| {
-        covariance[(r, c)] * scale[r] * scale[c]
-    });
-    Fit { covariance, ..fit }
+    Fit {
+        covariance: scaled(&covariance, &scale),
+        ..fit
+    }
 }
 
 #[cfg(test)]

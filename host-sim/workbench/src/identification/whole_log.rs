@@ -1,6 +1,6 @@
 //! A log with its lost rows put in: filters and derivatives need rows that are equally far apart.
 
-use super::clock::{Clock, GAP_PERIODS, clock, repeats};
+use super::clock::{Clock, GAP_PERIODS, clock, mean_period_s, repeats};
 use super::filter::median;
 use super::log::{LogReader, LogRow};
 use crate::dynamics::PerJoint;
@@ -79,13 +79,7 @@ impl WholeLog {
             lost: 0,
         };
         if clock == Clock::Stamps {
-            let whole = steps.iter().filter(|step| **step <= GAP_PERIODS * period_s);
-            let (mut time_s, mut periods) = (0.0, 0.0);
-            for step in whole {
-                time_s += step;
-                periods += (step / period_s).round().max(1.0);
-            }
-            log.period_s = time_s / periods;
+            log.period_s = mean_period_s(steps.iter().copied(), period_s);
             steps.sort_by(f64::total_cmp);
             let ends = [0.05, 0.95].map(|part| steps[(part * steps.len() as f64) as usize] * 1e3);
             log.notes.push(format!(
@@ -246,20 +240,21 @@ mod tests {
     }
 
     /// Rows of a log of one joint that moves on a cubic, at these times, with these stamps.
-    fn stamped(name: &str, times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
-        noisy(name, times_s, stamps_s, 0.0)
+    fn stamped(times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
+        noisy(times_s, stamps_s, 0.0)
     }
 
     /// Rows of [`stamped`] with velocities that are wrong by up to `error`, rad/s.
-    fn noisy(name: &str, times_s: &[f64], stamps_s: &[f64], error: f64) -> (Vec<LogRow>, WholeLog) {
-        let path = std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
+    fn noisy(times_s: &[f64], stamps_s: &[f64], error: f64) -> (Vec<LogRow>, WholeLog) {
+        let here = tempfile::tempdir().expect("a directory for temporary files");
+        let path = here.path().join("log.csv");
         let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
         for (&t, stamp) in times_s.iter().zip(stamps_s) {
             let (q, mut qd) = motion(t);
             qd += error * (7e4 * t).sin();
             text += &format!("{stamp},{q},{qd},{}\n", 3.0 * t);
         }
-        std::fs::write(&path, text).expect("a directory for temporary files");
+        std::fs::write(&path, text).expect("it can be written");
         let mut robot = Robot::load("ur5").expect("built in");
         robot.joints.truncate(1);
         let mut log = WholeLog::open(&path, &robot).expect("a sound log");
@@ -267,7 +262,6 @@ mod tests {
         while let Some(row) = log.next_row().expect("sound rows") {
             rows.push(row);
         }
-        std::fs::remove_file(path).expect("it was just written");
         (rows, log)
     }
 
@@ -278,7 +272,7 @@ mod tests {
             .filter(|k| k % 4 < 2)
             .map(|k| 8e-3 * f64::from(k) + 2e-4 * f64::from(k * 7 % 3 - 1))
             .collect();
-        let (rows, log) = stamped("lost", &times, &times);
+        let (rows, log) = stamped(&times, &times);
         assert_eq!((rows.len(), log.lost), (398, 198));
         assert!((log.period_s() - 8e-3).abs() < 1e-5, "{}", log.period_s());
         for row in &rows {
@@ -298,7 +292,7 @@ mod tests {
         for k in 0..400 {
             times.push(times[k] + if k % 2 == 0 { 10e-3 } else { 12e-3 });
         }
-        let (rows, log) = stamped("uneven", &times, &times);
+        let (rows, log) = stamped(&times, &times);
         assert!((log.period_s() - 11e-3).abs() < 1e-12);
         assert!(
             log.notes
@@ -319,7 +313,7 @@ mod tests {
         let jitter = |(k, t): (usize, &f64)| t + [0.0, 2e-4, -2e-4][k * 7 % 5 % 3];
         let uneven: Vec<f64> = even.iter().enumerate().map(jitter).collect();
         let grid = |times: &[f64]| {
-            let (_, log) = noisy("velocities", times, &uneven, 0.5);
+            let (_, log) = noisy(times, &uneven, 0.5);
             log.notes.iter().any(|note| note.contains("put on a grid"))
         };
         assert!(grid(&uneven), "rows at their stamps");
@@ -331,7 +325,7 @@ mod tests {
         let stamps: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(k)).collect();
         let note = |read: &dyn Fn(i32) -> i32| {
             let times: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(read(k))).collect();
-            let (_, log) = stamped("repeated", &times, &stamps);
+            let (_, log) = stamped(&times, &stamps);
             log.notes
                 .into_iter()
                 .find(|note| note.contains("values repeat"))
@@ -362,7 +356,7 @@ mod tests {
             ("bunched", sent, bunched),
             ("halted", halted.clone(), halted),
         ] {
-            let (rows, log) = stamped(name, &times, &stamps);
+            let (rows, log) = stamped(&times, &stamps);
             let read: Vec<f64> = rows.iter().map(|row| row.t_s).collect();
             assert_eq!((read, log.lost), (stamps, 0), "{name}");
         }

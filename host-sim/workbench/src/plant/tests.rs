@@ -290,7 +290,8 @@ fn reports_are_delayed_and_torque_lags_behind_the_position() {
 
 #[test]
 fn a_file_of_effects_is_checked() {
-    let file = std::env::temp_dir().join(format!("effects-{}.toml", std::process::id()));
+    let here = tempfile::tempdir().expect("is created");
+    let file = here.path().join("effects.toml");
     for (text, outcome) in [
         ("twist_mrad = 5\nbacklash_mrad = 0.2", ""),
         ("backlash_mrad = 0.2", "need twist_mrad"),
@@ -304,7 +305,6 @@ fn a_file_of_effects_is_checked() {
         assert_eq!(message.is_empty(), outcome.is_empty(), "{message}");
         assert!(message.contains(outcome), "{message}");
     }
-    std::fs::remove_file(&file).expect("is there");
 }
 
 #[test]

@@ -179,7 +179,8 @@ mod tests {
 
     #[test]
     fn every_row_comes_back_with_its_bits_and_a_cut_file_reads_to_its_last_whole_chunk() {
-        let path = std::env::temp_dir().join(format!("foretorque-{}.mcap", std::process::id()));
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("table.mcap");
         let header = ["t_s", "q1_rad", "flags"].map(str::to_owned);
         let mut table = McapTable::create(&path, &header).expect("creates");
         let value = |row: u32| (f64::from(row) * 0.37).sin() / 3.0;
@@ -192,7 +193,6 @@ mod tests {
         }
         table.finish().expect("finishes");
         let bytes = fs::read(&path).expect("reads");
-        fs::remove_file(&path).expect("was written");
         let all = read(&bytes, "q1_rad");
         assert_eq!(all.len(), ROWS as usize);
         for (row, found) in &all {

@@ -117,6 +117,28 @@ pub fn joint_columns(name: &str, unit: &str, joints: usize) -> Vec<String> {
         .collect()
 }
 
+/// Writes the motion of an arm and its torques, N·m, as a table: `t_s`, the state's columns, and one a joint of each of
+/// the names of `torques`.
+///
+/// Errors: the file system's.
+pub fn write_motion<const N: usize, const T: usize>(
+    path: &Path,
+    torques: [&str; T],
+    rows: impl IntoIterator<Item = (f64, State<N>, [Joints<N>; T])>,
+) -> io::Result<()> {
+    let mut header = vec!["t_s".to_owned()];
+    header.extend(state_columns(N));
+    header.extend(torques.iter().flat_map(|name| joint_columns(name, "nm", N)));
+    let mut table = TableWriter::create(path, &header)?;
+    for (t_s, state, torques) in rows {
+        let joints = [&state.q, &state.qd, &state.qdd]
+            .into_iter()
+            .chain(&torques);
+        table.row(std::iter::once(&t_s).chain(joints.flatten()))?;
+    }
+    table.finish()
+}
+
 pub(crate) fn is_compressed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "gz")
 }
@@ -153,29 +175,11 @@ impl TableError {
 mod tests {
     use super::*;
     use std::fs;
-    use std::path::PathBuf;
-
-    /// A directory that goes with the test.
-    struct Directory(PathBuf);
-
-    impl Directory {
-        fn new(name: &str) -> Self {
-            let path =
-                std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()));
-            fs::create_dir_all(&path).expect("creates");
-            Self(path)
-        }
-    }
-
-    impl Drop for Directory {
-        fn drop(&mut self) {
-            let _ = fs::remove_dir_all(&self.0);
-        }
-    }
+    use tempfile::tempdir;
 
     #[test]
     fn errors_name_file_line_and_column() {
-        let directory = Directory::new("table-errors");
+        let directory = tempdir().expect("creates");
         // Lines of the table behind each other, and the message behind the name of the file.
         let cases = "\
 t_s,q1_rad,qd1_rad_s | :1: column qdd1_rad_s2 is missing
@@ -191,7 +195,7 @@ SOUND | : no rows
  | :1: column q1_rad is missing";
         for case in cases.lines() {
             let (table, expected) = case.split_once(" | ").expect("a table and a message");
-            let path = directory.0.join("states.csv");
+            let path = directory.path().join("states.csv");
             let sound = "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2";
             let text = table.replace("SOUND", sound).replace(' ', "\n");
             fs::write(&path, text + "\n").expect("writes");
@@ -204,9 +208,9 @@ SOUND | : no rows
 
     #[test]
     fn a_table_comes_back_to_the_last_bit_plain_and_compressed() {
-        let directory = Directory::new("table-round");
+        let directory = tempdir().expect("creates");
         for name in ["round.csv", "round.csv.gz"] {
-            let path = directory.0.join(name);
+            let path = directory.path().join(name);
             let mut header = vec!["t_s".to_owned(), "tau1_nm".to_owned()];
             header.extend(state_columns(1));
             let mut writer = TableWriter::create(&path, &header).expect("creates");
@@ -228,8 +232,8 @@ SOUND | : no rows
 
     #[test]
     fn a_table_that_is_not_finished_does_not_appear() {
-        let directory = Directory::new("table-half");
-        let path = directory.0.join("half.csv");
+        let directory = tempdir().expect("creates");
+        let path = directory.path().join("half.csv");
         let mut writer = TableWriter::create(&path, &["a".to_owned()]).expect("creates");
         writer.row([1.0]).expect("writes");
         drop(writer);

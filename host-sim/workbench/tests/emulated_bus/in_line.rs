@@ -180,7 +180,7 @@ fn a_board_without_a_wiring_passes_every_frame_and_refuses_to_arm() {
         let pairs = passed(&vec![(sent, board.left())]);
         assert!(pairs.iter().all(|(_, _, sent, left)| sent == left));
     }
-    let mut client = crate::trial::connected(board);
+    let mut client = connected(board, |_| true);
     let refused = client.arm(&idle()).expect_err("there are no drives");
     assert!(refused.to_string().contains("drive fault"), "{refused}");
 }

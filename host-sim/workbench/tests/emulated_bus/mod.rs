@@ -33,7 +33,13 @@ type Drives = BoardDrives<Ur5, JOINTS, PARAMETERS>;
 type Ported = Vec<(u8, Frame)>;
 
 /// A board whose ports the host sees.
-trait FrameBoard: Transport {
+trait FrameBoard {
+    /// Its line to the host.
+    fn line(&mut self) -> &mut dyn Transport;
+    /// Bytes arrive on that line.
+    fn take(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.line().send(bytes)
+    }
     /// Frames arrive at the ports; returns when the board has taken them and what follows from them at once.
     fn deliver(&mut self, frames: &[(u8, Frame)]);
     /// Frames that have left.
@@ -48,18 +54,18 @@ struct Ticked<B, F> {
 
 impl<B: FrameBoard, F: FnMut(&mut B) -> bool> Transport for Ticked<B, F> {
     fn name(&self) -> String {
-        self.board.name()
+        "board on a bus".to_owned()
     }
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         match bytes.len() > SAMPLE_BYTES && !(self.before)(&mut self.board) {
             true => Ok(()),
-            false => self.board.send(bytes),
+            false => self.board.take(bytes),
         }
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.board.receive(buffer, timeout)
+        self.board.line().receive(buffer, timeout)
     }
 }
 
@@ -99,12 +105,12 @@ impl Twin {
     }
 }
 
-impl Transport for Twin {
-    fn name(&self) -> String {
-        self.board.name()
+impl FrameBoard for Twin {
+    fn line(&mut self) -> &mut dyn Transport {
+        &mut self.board
     }
 
-    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+    fn take(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.board.send(bytes)?;
         let (session, drives) = self.board.parts();
         if !drives.ticked() {
@@ -122,12 +128,6 @@ impl Transport for Twin {
         Ok(())
     }
 
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.board.receive(buffer, timeout)
-    }
-}
-
-impl FrameBoard for Twin {
     fn deliver(&mut self, frames: &[(u8, Frame)]) {
         for &(port, mut frame) in frames {
             let (_, drives) = self.board.parts();
@@ -218,7 +218,7 @@ impl Emulated {
     }
 
     /// Takes what a port has sent: frames; the number of acknowledgements.
-    fn take(&mut self, port: usize, waits: bool) -> usize {
+    fn take_from(&mut self, port: usize, waits: bool) -> usize {
         let mut acknowledged = 0;
         for line in self.ports[port].lines(waits) {
             match read_line(&line) {
@@ -230,21 +230,11 @@ impl Emulated {
     }
 }
 
-impl Transport for Emulated {
-    fn name(&self) -> String {
-        self.board.name()
-    }
-
-    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.board.send(bytes)
-    }
-
-    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.board.receive(buffer, timeout)
-    }
-}
-
 impl FrameBoard for Emulated {
+    fn line(&mut self) -> &mut dyn Transport {
+        &mut self.board
+    }
+
     fn deliver(&mut self, frames: &[(u8, Frame)]) {
         // One after the other, so that the order over both ports is that of the twin.
         for (port, frame) in frames {
@@ -256,18 +246,18 @@ impl FrameBoard for Emulated {
                 .expect("it listens");
             let mut acknowledged = 0;
             while acknowledged == 0 {
-                acknowledged += self.take(port, true);
+                acknowledged += self.take_from(port, true);
             }
             let before = self.left.len();
             while self.passes && self.left.len() == before {
-                self.take(1 - port, true);
+                self.take_from(1 - port, true);
             }
         }
     }
 
     fn left(&mut self) -> Ported {
         for port in 0..2 {
-            self.take(port, false);
+            self.take_from(port, false);
         }
         std::mem::take(&mut self.left)
     }

@@ -2,6 +2,7 @@
 
 use super::{ANALYTIC, DELAY_S, FAST_RAD_S, Judgement};
 use crate::identification::columns::Layout;
+use crate::metrics::scaled;
 use nalgebra::{DMatrix, DVector};
 use std::collections::VecDeque;
 
@@ -87,12 +88,7 @@ impl Delay {
                 self.full *= 2.0;
             }
             self.full = self.full.max(1.0);
-            self.sums.push(Sums {
-                gram: DMatrix::zeros(columns.len(), columns.len()),
-                moments: DMatrix::zeros(columns.len(), torques.len()),
-                powers: DVector::zeros(torques.len()),
-                count: 0.0,
-            });
+            self.sums.push(Sums::zeros(columns.len()));
         }
         let Some(sums) = self.sums.last_mut() else {
             return;
@@ -114,16 +110,23 @@ impl Delay {
 }
 
 impl Sums {
+    fn zeros(columns: usize) -> Self {
+        const DELAYS: usize = 2 * TRIED + 1;
+        Self {
+            gram: DMatrix::zeros(columns, columns),
+            moments: DMatrix::zeros(columns, DELAYS),
+            powers: DVector::zeros(DELAYS),
+            count: 0.0,
+        }
+    }
+
     /// Squares that the best parameters leave at every delay, and the number of averages beyond that of the columns.
     fn rests(&self) -> Option<(DVector<f64>, f64)> {
         let size = self
             .gram
             .diagonal()
             .map(|square| 1.0 / f64::max(square, f64::MIN_POSITIVE).sqrt());
-        let scaled = DMatrix::from_fn(self.gram.nrows(), self.gram.ncols(), |a, b| {
-            self.gram[(a, b)] * size[a] * size[b]
-        });
-        let inverse = scaled.pseudo_inverse(1e-8).ok()?;
+        let inverse = scaled(&self.gram, &size).pseudo_inverse(1e-8).ok()?;
         let rests = DVector::from_fn(self.powers.len(), |delay, _| {
             let moment = self.moments.column(delay).component_mul(&size);
             self.powers[delay] - moment.dot(&(&inverse * &moment))
@@ -145,12 +148,7 @@ fn costs(
     without: Option<usize>,
 ) -> Option<DVector<f64>> {
     let size = layout.parameters.len() + MORE * layout.joints();
-    let mut all = Sums {
-        gram: DMatrix::zeros(size, size),
-        moments: DMatrix::zeros(size, 2 * TRIED + 1),
-        powers: DVector::zeros(2 * TRIED + 1),
-        count: 0.0,
-    };
+    let mut all = Sums::zeros(size);
     for (joint, (delay, variance)) in delays.iter().zip(variances).enumerate() {
         let (Some(variance), Some(own)) = (variance, delay.sums(without)) else {
             continue;
