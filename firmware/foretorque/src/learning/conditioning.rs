@@ -45,8 +45,11 @@ pub struct ConditionedSample<const N: usize> {
 /// Motion and torque are averaged alike, so both belong to the same instant.
 ///
 /// A missing measurement is a gap. An exact copy of the measurement before is one too: the sensor is slower than the tick, or
-/// its report is late. A short gap is bridged with a straight line to the next measurement. Reports of uneven age are
-/// noise in time, which the fit averages.
+/// its report is late. A short gap is bridged with a straight line to the next measurement.
+///
+/// Late reports are put on the time of their measurement. The first one after a copy may have been measured in any tick of
+/// the gap; how many ticks it is ahead of the last one follows from the way that the joints have gone, at their velocity,
+/// as a whole number. So errors of that velocity do not enter, and without copies no measurement is moved.
 ///
 /// Positions are stored twice, `TAPS` apart, so that the window is contiguous wherever it begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,9 +66,15 @@ pub struct MeasurementWindow<const N: usize> {
     sum: JointMeasurement<N>,
     /// Measurement of the last tick, accepted or bridged.
     last: JointMeasurement<N>,
-    /// Ticks since the last accepted measurement.
+    /// Ticks since the last accepted measurement, and those of them with a copy of it.
     gap: usize,
+    copies: usize,
+    /// Age of the last accepted measurement over that of the newest reports, ticks.
+    age: usize,
 }
+
+/// Samples over which the velocity is taken that gives the ticks between late measurements.
+const RECENT: usize = 2;
 
 impl<const N: usize> MeasurementWindow<N> {
     /// Empty window of samples of `decimation` ticks, from 1 on.
@@ -85,6 +94,8 @@ impl<const N: usize> MeasurementWindow<N> {
             sum: zero,
             last: zero,
             gap: 0,
+            copies: 0,
+            age: 0,
         }
     }
 
@@ -92,13 +103,7 @@ impl<const N: usize> MeasurementWindow<N> {
     pub fn reset(&mut self) {
         self.filled = 0;
         self.ticks = 0;
-        self.gap = 0;
-    }
-
-    /// Discard all measurements; samples are of `decimation` ticks from now on.
-    pub(super) fn restart(&mut self, decimation: u32) {
-        self.decimation = decimation;
-        self.reset();
+        (self.gap, self.copies, self.age) = (0, 0, 0);
     }
 
     /// True before the first measurement.
@@ -131,25 +136,53 @@ impl<const N: usize> MeasurementWindow<N> {
         let accepted = arrived.filter(|arrived| self.is_empty() || *arrived != self.last);
         let Some(measured) = accepted else {
             self.gap += 1;
+            self.copies += usize::from(arrived.is_some());
             if self.is_empty() || self.gap > MAX_BRIDGED {
                 self.reset();
             }
             return;
         };
-        self.bridge(&measured);
+        let ticks = self.ticks_to(&measured.q);
+        self.age = (self.age + self.gap + 1 - ticks).min(MAX_BRIDGED);
+        (self.gap, self.copies) = (0, 0);
+        self.bridge(&measured, ticks);
         self.append(&measured);
     }
 
-    /// Fill the gap before `end` with a straight line.
-    fn bridge(&mut self, end: &JointMeasurement<N>) {
-        let steps = core::mem::take(&mut self.gap) + 1;
-        if steps == 1 {
+    /// Ticks between the last accepted measurement and the one at `q`: those of the clock, or, where one of both may be
+    /// late, those that the way shows.
+    fn ticks_to(&self, q: &JointVector<N>) -> usize {
+        let clock = self.gap + 1;
+        if self.age + self.copies == 0 || self.filled <= RECENT {
+            return clock;
+        }
+        let (mut way, mut square) = (0.0, 0.0);
+        for (joint, positions) in self.q.iter().enumerate() {
+            let at = |sample: usize| positions.get(self.next + sample).copied().unwrap_or(0.0);
+            let velocity = at(TAPS - 1) - at(TAPS - 1 - RECENT);
+            let change = q.get(joint).zip(self.last.q.get(joint));
+            way += velocity * change.map_or(0.0, |(q, last)| q - last);
+            square += velocity * velocity;
+        }
+        if square == 0.0 {
+            return clock;
+        }
+        let ticks = RECENT as f32 * self.decimation as f32;
+        // To the nearest whole number; a cast saturates.
+        let shown = (ticks * way / square + 0.5) as usize;
+        let (least, most) = (clock - self.copies, clock + self.age);
+        shown.min(most).min(MAX_BRIDGED + 1).max(least)
+    }
+
+    /// Fill the `ticks` to `end` with a straight line.
+    fn bridge(&mut self, end: &JointMeasurement<N>, ticks: usize) {
+        if ticks == 1 {
             return;
         }
         let mut between = self.last;
-        let part = 1.0 / steps as f32;
+        let part = 1.0 / ticks as f32;
         let (q, tau) = ((end.q - between.q) * part, (end.tau - between.tau) * part);
-        for _ in 1..steps {
+        for _ in 1..ticks {
             between.q += q;
             between.tau += tau;
             self.append(&between);

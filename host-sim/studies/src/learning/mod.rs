@@ -127,6 +127,7 @@ fn of_arm(
 /// Arm (`-` for all), scenarios whose names begin so (`-` for all), figure, side, bar.
 const BARS: &str = "\
 -    path-description          unseen_over_start_ratio           at most  0.35
+-    jitter-description        unseen_over_start_ratio           at most  0.35
 -    path-                     unseen_over_batch_ratio           at most  1.3
 -    path-description-link     unseen_over_batch_ratio           at most  1.1
 -    slow-                     unseen_over_batch_ratio           at most  1.5

@@ -73,6 +73,8 @@ pub(super) struct Scenario {
     drift_min: f64,
     torque_noise: f64,
     drive_gain: f64,
+    /// Largest further delay of a report, ms; below a period it makes no difference.
+    delay_jitter_ms: f64,
     pub(super) faults: ReportFaults,
     /// PD control alone is run too.
     pub(super) against_pd: bool,
@@ -94,6 +96,7 @@ pub(super) const PLAIN: Scenario = Scenario {
     drift_min: 0.0,
     torque_noise: 0.01,
     drive_gain: 1.0,
+    delay_jitter_ms: 1.0,
     faults: ReportFaults::NONE,
     against_pd: false,
     against_batch: false,
@@ -124,6 +127,13 @@ const SCENARIOS: &[Row] = &[
     ("later", "slow motion from a bank, then rich motion", |s| {
         s.motion = Motion::SlowThenRich;
         (s.seconds, s.quick_s) = (120.0, 60.0);
+    }),
+    ("jitter", "reports 1 to 4 ms old, by chance", |s| {
+        s.starts = &[
+            (Start::Description, Source::Current),
+            (Start::Bank, Source::Current),
+        ];
+        (s.quick_s, s.delay_jitter_ms) = (40.0, 3.0);
     }),
     ("drift", "viscous friction grows by 30 % in a minute", |s| {
         (s.seconds, s.quick_s, s.drift_min) = (120.0, 60.0, 0.3);
@@ -229,7 +239,7 @@ impl Scenario {
             warm_viscous_fall: 0.2,
             warm_up_s: 300.0,
             delay_ms: 1.0,
-            delay_jitter_ms: 1.0,
+            delay_jitter_ms: self.delay_jitter_ms,
             sampling_jitter_ms: 0.02,
             ..PlantEffects::default()
         };

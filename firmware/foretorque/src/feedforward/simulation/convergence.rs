@@ -115,7 +115,7 @@ fn reports_of_uneven_age_are_learnt() {
         }
         let error = nrmse(board.active(), &unseen, AS_IT_IS).0;
         println!("every {every}: {start:.3} to {error:.4}");
-        assert!(error < 0.2 * start, "every {every}: {error}");
+        assert!(error < 0.05 * start, "every {every}: {error}");
     }
 }
 

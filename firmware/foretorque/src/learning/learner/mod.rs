@@ -168,7 +168,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.config = config;
         self.state.statistics = LearnerStatistics::NONE;
         self.state.report = LearnerReport::new();
-        self.state.window.restart(config.decimation);
+        self.state.window = MeasurementWindow::new(config.decimation);
         self.state.next_tick = 0;
         self.state.generation = None;
         self.start_from(prior, start);

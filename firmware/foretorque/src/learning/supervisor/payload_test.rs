@@ -167,11 +167,7 @@ impl PayloadHypothesisTest {
         let enough = enough || single && self.rows >= MIN_ROWS_SINGLE;
         let over = current < quiet && hypothesis >= UNEXPLAINED * current;
         let over = count(&mut self.quiet_blocks, over, enough);
-        let squares = [
-            &mut self.current,
-            &mut self.hypothesis,
-            &mut self.empty,
-        ];
+        let squares = [&mut self.current, &mut self.hypothesis, &mut self.empty];
         for sum in squares.into_iter().chain([&mut self.rows]) {
             *sum *= FADE;
         }
