@@ -32,16 +32,32 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         tree.weld(&path);
     }
     let end = end.filter(|_| !selection.weld);
-    let moving = path.iter().filter(|&&joint| !tree.is_fixed(joint)).count();
-    if !(1..=MAX_JOINTS).contains(&moving) {
-        let mut moved = path.iter().filter(|&&joint| !tree.is_fixed(joint));
-        let last = moved.nth(MAX_JOINTS - 1).map(|&joint| tree.child[joint]);
-        return Err(match last.map(|link| &document.links[link].name) {
-            None => "no moving joint between base and tip".to_owned(),
-            Some(tip) => format!(
-                "{moving} moving joints, an arm has at most {MAX_JOINTS}: choose its ends with --base and --tip, such as --tip '{tip}'"
-            ),
-        });
+    let of_joint = |index: usize, problem: String| {
+        format!("joint '{}' {problem}", document.joints[index].name)
+    };
+    let turn = |index: usize| {
+        let turn = usable(&document.joints[index]).and_then(z_onto_axis);
+        turn.map_err(|problem| of_joint(index, problem + &without(document, &path)))
+    };
+    let moved: Vec<usize> = path
+        .iter()
+        .copied()
+        .filter(|&j| !tree.is_fixed(j))
+        .collect();
+    // Before the joints are counted: an arm of many joints stands on a lift or a floating base as a rule.
+    for &index in &moved {
+        turn(index)?;
+    }
+    let moving = moved.len();
+    if moving > MAX_JOINTS {
+        let base = &document.joints[moved[moving - MAX_JOINTS]].parent;
+        let tip = &document.joints[moved[MAX_JOINTS - 1]].child;
+        return Err(format!(
+            "{moving} moving joints, an arm has at most {MAX_JOINTS}: choose its ends, such as --base '{base}' or --tip '{tip}'"
+        ));
+    }
+    if moving == 0 {
+        return Err("no moving joint between base and tip".to_owned());
     }
     let mut notes = tree.left_out(base, &path, end);
     notes.extend(document.notes.iter().cloned());
@@ -67,9 +83,8 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             link_frame = joint_frame;
             continue;
         }
-        let turn = usable(element).and_then(z_onto_axis);
-        let of_joint = |problem: String| format!("joint '{}' {problem}", element.name);
-        let turn = turn.map_err(|problem| of_joint(problem + &without(document, &path)))?;
+        let turn = turn(index)?;
+        let of_joint = |problem: String| of_joint(index, problem);
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
         let link = tree.lumped(index, &link_frame, end, selection, &mut notes)?;

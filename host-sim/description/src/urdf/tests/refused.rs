@@ -89,6 +89,38 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
 #[test]
 fn an_assumed_torque_limit_moves_friction_and_rotor() {
     let limit = |text: &str| {
+#[test]
+fn too_many_joints_are_cut_at_either_end_and_a_lift_below_them_first() {
+    let chain = |first: &str| {
+        let joint = |k: usize| {
+            let (kind, next) = (if k == 0 { first } else { "continuous" }, k + 1);
+            format!(
+                r#"<joint name="j{k}" type="{kind}"><parent link="l{k}"/><child link="l{next}"/></joint>
+                <link name="l{next}"><inertial><mass value="1"/>
+                <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>"#
+            )
+        };
+        let joints: String = (0..10).map(joint).collect();
+        format!("<robot name=\"chain\"><link name=\"l0\"/>{joints}</robot>")
+    };
+    let long = chain("continuous");
+    let ends = "t: 10 moving joints, an arm has at most 8: choose its ends, such as --base 'l2' or --tip 'l8'";
+    assert_eq!(refusal(&long, &Selection::default()), ends);
+    for (base, tip) in [(Some("l2"), None), (None, Some("l8"))] {
+        let selection = Selection {
+            base,
+            tip,
+            ..Selection::default()
+        };
+        assert_eq!(
+            parse("t", &long, &selection).unwrap().robot.joint_count(),
+            8
+        );
+    }
+    let error = refusal(&chain("prismatic"), &Selection::default());
+    assert!(error.ends_with("(--base 'l1' begins behind it)"), "{error}");
+}
+
         let text = text.replacen(" actuatorfrcrange=\"-40 50\"", "", 1);
         let text = text.replacen("forcerange=\"-35 35\"", "", 1);
         let import = imported(&text);
