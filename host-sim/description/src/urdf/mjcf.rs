@@ -7,7 +7,7 @@
 mod attributes;
 
 use super::document::{
-    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, child,
+    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, TURN, child,
     children, no_robot, number, optional, parse_number, parsed, problem, required, vector,
 };
 use crate::robot::{Link, Placement};

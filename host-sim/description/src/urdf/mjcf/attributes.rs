@@ -211,10 +211,7 @@ pub(super) fn ranges_are_radians(root: Node<'_, '_>) -> bool {
         .filter_map(|joint| numbers(joint, "range").ok())
         .flatten()
         .collect();
-    !ends.is_empty()
-        && ends
-            .iter()
-            .all(|end| end.abs() < std::f64::consts::TAU + 0.01)
+    !ends.is_empty() && ends.iter().all(|end| end.abs() < TURN)
 }
 
 fn class_of<'a>(default: Node<'a, '_>) -> &'a str {

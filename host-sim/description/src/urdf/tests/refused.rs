@@ -31,7 +31,10 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; hand ; <parent link="base"/> ; <parent link="fore"/> ; link 'upper' closes a loop or has two parents, only a tree is an arm
         ; hand ; <link name="camera"> ; <link name="upper"> ; the name 'upper' is used twice
         ; hand ; <link name="base"/> ; <link name="base"/><link name="loose"/> ; links 'world', 'loose' have no parent: choose one with --base
-        ; ; <robot name="Two-Link"> ; <robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/> ; contains xacro macros: expand them first (xacro FILE)"##;
+        ; ; <robot name="Two-Link"> ; <robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/> ; contains xacro macros: expand the file first (xacro FILE)
+        ; hand ; xyz="0 0 0.5" ; xyz="${h} 0 0.5" ; line 6: <origin> xyz="${h} 0 0.5" is not three numbers: expand the file first (xacro FILE)
+        ; hand ; rpy="1.5708 0 0" ; rpy="90 0 0" ; line 14: <origin> has more than a turn in rpy, which is in radians
+        ; hand ; damping="0.5" ; damping="-0.5" ; joint 'elbow' has the viscous friction -0.5, must not be negative"##;
     for case in cases.trim_start_matches('\n').lines() {
         let [base, tip, good, bad, message] =
             case.split(';').map(str::trim).collect::<Vec<_>>()[..]
@@ -87,9 +90,6 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
 }
 
 #[test]
-fn an_assumed_torque_limit_moves_friction_and_rotor() {
-    let limit = |text: &str| {
-#[test]
 fn too_many_joints_are_cut_at_either_end_and_a_lift_below_them_first() {
     let chain = |first: &str| {
         let joint = |k: usize| {
@@ -121,6 +121,9 @@ fn too_many_joints_are_cut_at_either_end_and_a_lift_below_them_first() {
     assert!(error.ends_with("(--base 'l1' begins behind it)"), "{error}");
 }
 
+#[test]
+fn an_assumed_torque_limit_moves_friction_and_rotor() {
+    let limit = |text: &str| {
         let text = text.replacen(" actuatorfrcrange=\"-40 50\"", "", 1);
         let text = text.replacen("forcerange=\"-35 35\"", "", 1);
         let import = imported(&text);
