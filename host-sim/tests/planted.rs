@@ -77,10 +77,18 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         let quantities = [0, 6, 12, 18].iter();
         quantities.for_each(|k| row.swap(Q + 1 + k, Q + 2 + k));
     });
-    let cases: [(Change, &str); 12] = [
+    let cases: [(Change, &str); 14] = [
         (
             scale(Q..Q + 18, 57.295_779_513),
             "are these degrees (--units q=deg)?",
+        ),
+        (
+            scale(0..1, 1e3),
+            "s apart: are its times in ms (--units t=ms)?",
+        ),
+        (
+            scale(all.clone(), 0.0),
+            "are noise: they follow neither the motion nor gravity",
         ),
         (scale(all.clone(), 1e3), "is this mN·m (--units tau=mNm)?"),
         (scale(all, -1.0), "has the wrong sign"),
