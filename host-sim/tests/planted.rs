@@ -1,7 +1,7 @@
 //! Mistakes planted into a sound log: each is named in one line, none yields a bank.
 
 use crate::logged::{identify, log, log_of};
-use crate::program::{directory, failure, succeeds, text, write};
+use crate::program::{command, directory, failure, succeeds, text, write};
 use foretorque_workbench::robot::{Link, Robot};
 use nalgebra::{Matrix3, Vector3};
 use std::fs;
@@ -138,6 +138,14 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
     log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
     judged("another arm");
+    // The learner is not replayed on it either, but by force.
+    let replay = |force: &str| {
+        let line = format!("replay --robot ur5 --log bad.csv --out replayed {force}");
+        command(&here, &line).output().expect("it starts")
+    };
+    let message = failure("replay", &replay(""));
+    assert!(message.contains("another arm"), "{message}");
+    assert!(replay("--force").status.success());
     // A sound log of a plant that is not its description passes, and so does a refused one by force.
     for (arguments, bank) in [
         ("good.csv --methods wls", true),
