@@ -247,7 +247,7 @@ fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), String> {
 }
 
 /// The angle, or the multiple of π/2 it is meant to be.
-fn squared(angle: f64) -> f64 {
+pub(super) fn squared(angle: f64) -> f64 {
     let nearest = (angle / FRAC_PI_2).round() * FRAC_PI_2;
     if (angle - nearest).abs() < RIGHT_ANGLE_TOLERANCE {
         nearest

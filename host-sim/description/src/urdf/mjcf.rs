@@ -8,7 +8,7 @@ mod attributes;
 
 use super::document::{
     Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, TURN, child,
-    children, no_robot, number, optional, parse_number, parsed, problem, required, vector,
+    children, no_robot, number, optional, parse_number, parsed, problem, required, squared, vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};
