@@ -1,7 +1,7 @@
 //! Mistakes planted into a sound log: each is named in one line, none yields a bank.
 
 use crate::logged::{identify, log, log_of};
-use crate::program::{directory, failure, succeeds, text, write};
+use crate::program::{command, directory, failure, succeeds, text, write};
 use foretorque_workbench::robot::{Link, Robot};
 use nalgebra::{Matrix3, Vector3};
 use std::fs;
@@ -77,10 +77,18 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         let quantities = [0, 6, 12, 18].iter();
         quantities.for_each(|k| row.swap(Q + 1 + k, Q + 2 + k));
     });
-    let cases: [(Change, &str); 12] = [
+    let cases: [(Change, &str); 14] = [
         (
             scale(Q..Q + 18, 57.295_779_513),
             "are these degrees (--units q=deg)?",
+        ),
+        (
+            scale(0..1, 1e3),
+            "s apart: are its times in ms (--units t=ms)?",
+        ),
+        (
+            scale(all.clone(), 0.0),
+            "are noise: they follow neither the motion nor gravity",
         ),
         (scale(all.clone(), 1e3), "is this mN·m (--units tau=mNm)?"),
         (scale(all, -1.0), "has the wrong sign"),
@@ -130,6 +138,14 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
     log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
     judged("another arm");
+    // The learner is not replayed on it either, but by force.
+    let replay = |force: &str| {
+        let line = format!("replay --robot ur5 --log bad.csv --out replayed {force}");
+        command(&here, &line).output().expect("it starts")
+    };
+    let message = failure("replay", &replay(""));
+    assert!(message.contains("another arm"), "{message}");
+    assert!(replay("--force").status.success());
     // A sound log of a plant that is not its description passes, and so does a refused one by force.
     for (arguments, bank) in [
         ("good.csv --methods wls", true),

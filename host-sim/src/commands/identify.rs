@@ -197,15 +197,15 @@ fn identify_arm(
         Some(out) if !arguments.data_check => out,
         _ => return show_check(&judgement),
     };
-    if let Some(refused) = judgement.findings.iter().find(|finding| finding.refuses)
-        && !arguments.force
+    if !arguments.force
+        && let Err(refused) = sound(
+            &judgement,
+            &arguments.logs,
+            "no bank; --force identifies all the same",
+        )
     {
-        let names = arguments.logs.iter().map(|log| log.display().to_string());
-        let (names, text) = (names.collect::<Vec<_>>().join(", "), &refused.text);
         remove_stale(out, &RESULTS)?;
-        return Err(unusable(format!(
-            "{names}: {text} (no bank; --force identifies all the same)"
-        )));
+        return Err(refused);
     }
     let bar = ProgressBar::new_spinner();
     // A template that does not parse would only cost the line its looks.
@@ -303,6 +303,17 @@ fn identify_arm(
         return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
     }
     verdict(refused, bank.is_some())
+}
+
+/// Success for logs without a finding that refuses.
+///
+/// Errors: the first such finding, with the `way` out.
+pub(super) fn sound(judgement: &Judgement, logs: &[PathBuf], way: &str) -> Result<(), Failure> {
+    let refused = judgement.findings.iter().find(|finding| finding.refuses);
+    refused.map_or(Ok(()), |Finding { text, .. }| {
+        let names: Vec<String> = logs.iter().map(|log| log.display().to_string()).collect();
+        Err(unusable(format!("{}: {text} ({way})", names.join(", "))))
+    })
 }
 
 /// Success of a run that wrote a bank.

@@ -1,5 +1,6 @@
 use super::arm::{LogOptions, RobotOptions};
 use super::boards::on_arm;
+use super::identify::sound;
 use super::terminal::Bar;
 use super::terminal::show;
 use super::{Failure, bank};
@@ -7,6 +8,9 @@ use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, StartDeviations};
 use foretorque_studies::replay::{self, ReplayPath};
+use foretorque_workbench::identification::{
+    ColumnSet, PrepareConfig, cut_offs, judge, longest_period_s,
+};
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::Robot;
 use std::path::{Path, PathBuf};
@@ -27,6 +31,9 @@ pub(super) struct Arguments {
     /// Seed of the batch identification
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Replay although a check refuses a log, such as torques of the wrong sign
+    #[arg(long)]
+    force: bool,
     /// Directory for report.json and report.html
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -35,6 +42,17 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut robot = arguments.robot.load()?;
     arguments.columns_of_log.apply(&mut robot)?;
+    if !arguments.force {
+        let logs: Vec<&Path> = arguments.logs.iter().map(PathBuf::as_path).collect();
+        let [motion_hz, torque_hz] = cut_offs([40.0, 20.0], longest_period_s(&logs, &robot)?);
+        let prepare = PrepareConfig {
+            motion_hz,
+            torque_hz: Some(torque_hz),
+            still_rad_s: 0.05,
+        };
+        let judgement = judge(&robot, &arguments.logs, &ColumnSet::plain(), &prepare)?;
+        sound(&judgement, &arguments.logs, "--force replays all the same")?;
+    }
     on_arm!(&robot, A, N, P => arguments.replay::<A, N, P>(&robot))
 }
 

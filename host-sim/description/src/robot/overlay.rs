@@ -240,8 +240,11 @@ impl Robot {
         text: &str,
         selection: &Selection<'_>,
     ) -> Result<Import, Refusal> {
-        // TOML never begins with '<', XML always does.
-        if text.trim_start().starts_with('<') {
+        // TOML never begins with '<', XML always does; an empty file is what its name tells.
+        let named = Path::new(file).extension();
+        let is_xml =
+            named.is_some_and(|named| ["urdf", "xml", "xacro"].iter().any(|x| named == *x));
+        if is_xml || text.trim_start().starts_with('<') {
             return urdf::parse(file, text, selection);
         }
         if let Some(import) = overlay::read(file, text, selection)? {

@@ -65,6 +65,8 @@ fn bad_descriptions_are_refused_with_file_and_field() {
     let missing = Robot::load("no_such_robot").unwrap_err().to_string();
     assert!(missing.starts_with("unknown robot 'no_such_robot': not one of [ur5, panda]"));
     assert!(Robot::parse("t", "name = 3").is_err());
+    let empty = Robot::parse("t.urdf", "").unwrap_err().to_string();
+    assert!(empty.starts_with("t.urdf: not a URDF or MJCF"), "{empty}");
     assert!(Robot::parse("t", "name = \"x\"\njoints = []").is_err());
 }
 

@@ -1,6 +1,6 @@
 //! The path from base to tip, brought into Craig's link frames.
 
-use super::document::{Document, JointElement};
+use super::document::{Document, JointElement, TURN};
 use super::tree::Tree;
 use super::{Import, Selection};
 use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot, Workspace};
@@ -32,16 +32,32 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         tree.weld(&path);
     }
     let end = end.filter(|_| !selection.weld);
-    let moving = path.iter().filter(|&&joint| !tree.is_fixed(joint)).count();
-    if !(1..=MAX_JOINTS).contains(&moving) {
-        let mut moved = path.iter().filter(|&&joint| !tree.is_fixed(joint));
-        let last = moved.nth(MAX_JOINTS - 1).map(|&joint| tree.child[joint]);
-        return Err(match last.map(|link| &document.links[link].name) {
-            None => "no moving joint between base and tip".to_owned(),
-            Some(tip) => format!(
-                "{moving} moving joints, an arm has at most {MAX_JOINTS}: choose its ends with --base and --tip, such as --tip '{tip}'"
-            ),
-        });
+    let of_joint = |index: usize, problem: String| {
+        format!("joint '{}' {problem}", document.joints[index].name)
+    };
+    let turn = |index: usize| {
+        let turn = usable(&document.joints[index]).and_then(z_onto_axis);
+        turn.map_err(|problem| of_joint(index, problem + &without(document, &path)))
+    };
+    let moved: Vec<usize> = path
+        .iter()
+        .copied()
+        .filter(|&j| !tree.is_fixed(j))
+        .collect();
+    // Before the joints are counted: an arm of many joints stands on a lift or a floating base as a rule.
+    for &index in &moved {
+        turn(index)?;
+    }
+    let moving = moved.len();
+    if moving > MAX_JOINTS {
+        let base = &document.joints[moved[moving - MAX_JOINTS]].parent;
+        let tip = &document.joints[moved[MAX_JOINTS - 1]].child;
+        return Err(format!(
+            "{moving} moving joints, an arm has at most {MAX_JOINTS}: choose its ends, such as --base '{base}' or --tip '{tip}'"
+        ));
+    }
+    if moving == 0 {
+        return Err("no moving joint between base and tip".to_owned());
     }
     let mut notes = tree.left_out(base, &path, end);
     notes.extend(document.notes.iter().cloned());
@@ -67,9 +83,8 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             link_frame = joint_frame;
             continue;
         }
-        let turn = usable(element).and_then(z_onto_axis);
-        let of_joint = |problem: String| format!("joint '{}' {problem}", element.name);
-        let turn = turn.map_err(|problem| of_joint(problem + &without(document, &path)))?;
+        let turn = turn(index)?;
+        let of_joint = |problem: String| of_joint(index, problem);
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
         let link = tree.lumped(index, &link_frame, end, selection, &mut notes)?;
@@ -82,7 +97,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
                 gain: 1.0,
                 encoder_bits: ENCODER_BITS,
             },
-            friction: friction(element),
+            friction: friction(element).map_err(of_joint)?,
             limits: limits(element, &mut notes).map_err(of_joint)?,
             // Collision shapes of a URDF are meshes as a rule.
             capsules: Vec::new(),
@@ -109,6 +124,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     notes.push(format!(
         "drives are not described: {rotors}gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
     ));
+    wide_links(&joints, &link_frame, &mut notes);
     assume_torques(&mut joints, &mut notes);
     lower_speeds(&mut joints, &mut notes);
     let robot = Robot {
@@ -177,16 +193,25 @@ fn z_onto_axis(joint: &JointElement) -> Result<Placement, String> {
     Ok(turn.snapped())
 }
 
-fn friction(joint: &JointElement) -> Friction {
+fn friction(joint: &JointElement) -> Result<Friction, String> {
     let (viscous, coulomb) = joint.friction;
-    Friction {
+    for (what, value) in [
+        ("viscous friction", viscous),
+        ("Coulomb friction", coulomb),
+        ("rotor inertia", joint.rotor),
+    ] {
+        if value < 0.0 {
+            return Err(format!("has the {what} {value}, must not be negative"));
+        }
+    }
+    Ok(Friction {
         viscous,
         coulomb,
         stribeck_ratio: 0.0,
         stribeck_velocity: 1.0,
         cogging: 0.0,
         cogging_cycles_rev: 0.0,
-    }
+    })
 }
 
 fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, String> {
@@ -221,6 +246,13 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
             );
         }
     };
+    let (lower, upper) = position;
+    if lower.abs().max(upper.abs()) > TURN {
+        notes.push(format!(
+            "joint '{}': its range {lower} … {upper} rad ends beyond a turn: are these degrees?",
+            joint.name
+        ));
+    }
     let acceleration = limit.acceleration.unwrap_or(ACCELERATION);
     if acceleration <= 0.0 {
         let problem = format!("has the acceleration limit {acceleration}, must be positive");
@@ -233,6 +265,21 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
         // Not positive: taken from the weight in the end.
         torque: limit.effort.unwrap_or(0.0),
     })
+}
+
+/// Notes links whose radius of gyration is larger than the whole arm, as placeholders and other units give them.
+fn wide_links(joints: &[Joint], flange: &Placement, notes: &mut Vec<String>) {
+    let length = |joint: &Joint| joint.placement.origin.norm() + joint.link.com.norm();
+    let reach = flange.origin.norm() + joints.iter().map(length).sum::<f64>();
+    for joint in joints {
+        let radius = (joint.link.inertia_com.trace() / 2.0 / joint.link.mass).sqrt();
+        if radius > reach {
+            notes.push(format!(
+                "link '{}': the inertia is that of a body of {radius:.2} m radius of gyration, the whole arm is {reach:.2} m long: a placeholder, or other units?",
+                joint.link_name.as_deref().unwrap_or_default()
+            ));
+        }
+    }
 }
 
 /// Gives joints without a torque limit one and a half of what the arm weighs at full stretch, of friction at the velocity limit

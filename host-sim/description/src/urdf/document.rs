@@ -3,15 +3,21 @@
 use crate::robot::{Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::Node;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Angles this close to a multiple of π/2 are that multiple. URDF files write right angles as 1.5708 or 1.57079632679;
 /// taken literally, such an arm has nearly dependent inertial parameters, which neither a torque sensor nor f32
 /// resolves, and its zero entries cost multiplications.
 pub(super) const RIGHT_ANGLE_TOLERANCE: f64 = 1e-5;
 
+/// A turn, rad, with the error of two decimals. Angles beyond it are degrees as a rule.
+pub(super) const TURN: f64 = TAU + 0.01;
+
 /// Gravity of a file that states none, m/s².
 pub(super) const EARTH: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+
+/// Mend of a file with macros or their variables.
+const EXPAND: &str = ": expand the file first (xacro FILE)";
 
 /// All links and joints of a file.
 #[derive(Default)]
@@ -115,7 +121,7 @@ pub(super) fn read(text: &str) -> Result<Document, String> {
             .is_some_and(|n| n.ends_with("xacro"))
     };
     if root.descendants().any(is_macro) {
-        return Err("contains xacro macros: expand them first (xacro FILE)".to_owned());
+        return Err(format!("contains xacro macros{EXPAND}"));
     }
     let document = Document {
         name: root.attribute("name").unwrap_or_default().to_owned(),
@@ -188,7 +194,9 @@ pub(super) fn body(
 
 fn joint(node: Node<'_, '_>) -> Result<JointElement, String> {
     let (origin, squared) = origin(node)?;
-    let axis = match child(node, "axis") {
+    let kind = required(node, "type")?.to_owned();
+    // A fixed joint turns about nothing, and tools write anything there.
+    let axis = match child(node, "axis").filter(|_| kind != "fixed") {
         Some(axis) => vector(axis, "xyz")?.unwrap_or(Vector3::x()),
         // The default of the format.
         None => Vector3::x(),
@@ -208,7 +216,7 @@ fn joint(node: Node<'_, '_>) -> Result<JointElement, String> {
     let friction = (damping, of("dynamics", "friction")?.unwrap_or(0.0));
     Ok(JointElement {
         name: required(node, "name")?.to_owned(),
-        kind: required(node, "type")?.to_owned(),
+        kind,
         parent: required(required_child(node, "parent")?, "link")?.to_owned(),
         child: required(required_child(node, "child")?, "link")?.to_owned(),
         origin,
@@ -228,6 +236,12 @@ fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), String> {
     };
     let xyz = vector(node, "xyz")?.unwrap_or_default();
     let written = vector(node, "rpy")?.unwrap_or_default();
+    if written.amax() > TURN {
+        return Err(problem(
+            node,
+            "has more than a turn in rpy, which is in radians",
+        ));
+    }
     let rpy = written.map(squared);
     // Up to 1e-9 rad is rounding of an exact number: no note.
     let moved = (rpy - written).amax() > 1e-9;
@@ -235,7 +249,7 @@ fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), String> {
 }
 
 /// The angle, or the multiple of π/2 it is meant to be.
-fn squared(angle: f64) -> f64 {
+pub(super) fn squared(angle: f64) -> f64 {
     let nearest = (angle / FRAC_PI_2).round() * FRAC_PI_2;
     if (angle - nearest).abs() < RIGHT_ANGLE_TOLERANCE {
         nearest
@@ -281,7 +295,13 @@ pub(super) fn required<'a>(node: Node<'a, '_>, name: &str) -> Result<&'a str, St
 
 pub(super) fn number(node: Node<'_, '_>, name: &str) -> Result<f64, String> {
     let text = required(node, name)?;
-    parse_number(text).ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a number")))
+    parse_number(text).ok_or_else(|| not(node, name, text, "a number"))
+}
+
+/// The problem of an attribute that is not `what`.
+fn not(node: Node<'_, '_>, name: &str, text: &str, what: &str) -> String {
+    let xacro = if text.contains('$') { EXPAND } else { "" };
+    problem(node, &format!("{name}=\"{text}\" is not {what}{xacro}"))
 }
 
 pub(super) fn optional(node: Node<'_, '_>, name: &str) -> Result<Option<f64>, String> {
@@ -298,10 +318,7 @@ pub(super) fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f6
     let values: Option<Vec<f64>> = text.split_whitespace().map(parse_number).collect();
     match values.as_deref() {
         Some(&[x, y, z]) => Ok(Some(Vector3::new(x, y, z))),
-        _ => Err(problem(
-            node,
-            &format!("{name}=\"{text}\" is not three numbers"),
-        )),
+        _ => Err(not(node, name, text, "three numbers")),
     }
 }
 

@@ -7,8 +7,9 @@
 mod attributes;
 
 use super::document::{
-    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, body, child,
-    children, no_robot, number, optional, parse_number, parsed, problem, required, vector,
+    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, TURN, body,
+    child, children, no_robot, number, optional, parse_number, parsed, problem, required, squared,
+    vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};

@@ -308,7 +308,7 @@ impl Roughness {
     pub(super) fn are_swapped(joints: impl IntoIterator<Item = [Self; 2]>) -> bool {
         let votes = joints
             .into_iter()
-            .map(|[q, tau]| q.ratio() > 10.0 * tau.ratio());
+            .map(|[q, tau]| tau.first > 0.0 && q.ratio() > 10.0 * tau.ratio());
         let (mut all, mut swapped) = (0, 0);
         for vote in votes {
             all += 1;

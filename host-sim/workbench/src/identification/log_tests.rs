@@ -118,7 +118,8 @@ fn every_source_gives_the_same_rows() {
     let known = [
         ("own.csv", own(), ""),
         ("tabs.csv", own().replace(',', "\t"), ""),
-        ("excel.csv", semicolons, ""),
+        ("excel.csv", semicolons.clone(), ""),
+        ("excel.txt", semicolons.replace(';', "\t"), ""),
         ("spaces.csv", own().replace(',', "   "), ""),
         ("comment.csv", format!("# {}", own().replace(',', " ")), ""),
         (
@@ -222,6 +223,7 @@ fn logs_that_do_not_fit_are_refused_by_name() {
             "one.csv: 1 rows, a motion needs 3 at least",
         ),
         ("none.csv", lines[0].to_owned(), "none.csv: no rows"),
+        ("empty.csv", String::new(), "empty.csv: no rows"),
         (
             "huge.csv",
             lines[..9].concat().replace("51.5", "1e300"),
@@ -241,6 +243,11 @@ fn logs_that_do_not_fit_are_refused_by_name() {
             "robot.parquet",
             String::new(),
             "robot.parquet: parquet is not read; write CSV: python3",
+        ),
+        (
+            "robot.bag",
+            String::new(),
+            "robot.bag: a bag of ROS 1 is not read; convert it: rosbags-convert",
         ),
         (
             "broken.db3",

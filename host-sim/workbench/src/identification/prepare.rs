@@ -44,6 +44,17 @@ pub fn longest_period_s(logs: &[&Path], robot: &Robot) -> Result<f64, IdentifyEr
     })
 }
 
+/// Question for the unit of the times of a log whose rows are so far apart that no filter keeps a motion; else empty.
+pub(super) fn other_unit_of_time(period_s: f64) -> String {
+    const LONGEST_S: f64 = 0.2;
+    let units = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)];
+    let fits = units.iter().find(|(_, unit)| period_s * unit <= LONGEST_S);
+    match fits {
+        Some((unit, _)) if *unit != "s" => format!(": are its times in {unit} (--units t={unit})?"),
+        _ => String::new(),
+    }
+}
+
 impl PrepareConfig {
     /// Check that the rows of a log are near enough for the filters.
     ///
@@ -54,10 +65,7 @@ impl PrepareConfig {
         for (option, hz) in [("--motion-hz", self.motion_hz)].into_iter().chain(torque) {
             if Butterworth::new(hz, period_s).is_none() {
                 let (rate_hz, share) = (1.0 / period_s, Butterworth::RATE_SHARE);
-                let hint = match rate_hz < 5.0 {
-                    true => ": are its times in ms (--units t=ms)?",
-                    false => "",
-                };
+                let hint = other_unit_of_time(period_s);
                 return Err(refused(
                     path,
                     format!(

@@ -115,6 +115,10 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
             let way = "parquet is not read; write CSV: python3 -c \"import pandas as p; p.read_parquet('F').to_csv('F.csv')\"";
             return Err(refused(path, way.to_owned()));
         }
+        Some("bag") => {
+            let way = "a bag of ROS 1 is not read; convert it: rosbags-convert --src F.bag --dst F";
+            return Err(refused(path, way.to_owned()));
+        }
         _ => return Ok(None),
     };
     drop(fs::File::open(&file).map_err(|error| at(&file, error))?);

@@ -117,7 +117,7 @@ impl Rows {
             .trim(csv::Trim::Headers)
             .buffer_capacity(1 << 18)
             .from_reader(bytes);
-        let header = if numbers {
+        let header: Vec<String> = if numbers {
             names.to_vec()
         } else {
             let found = reader.headers().map_err(|error| unreadable(path, &error))?;
@@ -127,6 +127,9 @@ impl Rows {
             let found = found.filter(|name| separator != b' ' || !name.is_empty());
             found.map(str::to_owned).collect()
         };
+        if header.is_empty() {
+            return Err(TableError::empty(path));
+        }
         Ok(Self {
             path: path.to_owned(),
             header,
@@ -275,18 +278,24 @@ impl Rows {
     }
 }
 
-/// The finite number in a field. Where semicolons separate, the decimal sign may be a comma.
+/// The finite number in a field. Where commas do not separate, the decimal sign may be one.
 fn number(field: &[u8], separator: u8) -> Option<f64> {
     let text = std::str::from_utf8(field).ok()?.trim();
     let parsed = match text.parse() {
-        Err(_) if separator == b';' => text.replacen(',', ".", 1).parse(),
+        Err(_) if separator != b',' => text.replacen(',', ".", 1).parse(),
         parsed => parsed,
     };
     parsed.ok().filter(|value: &f64| value.is_finite())
 }
 
 fn unreadable(path: &Path, error: &csv::Error) -> TableError {
-    TableError::at(path, None, error.to_string())
+    let problem = match error.kind() {
+        csv::ErrorKind::Utf8 { .. } => {
+            "the header is no text in UTF-8: write CSV; compressed CSV ends in .gz".to_owned()
+        }
+        _ => error.to_string(),
+    };
+    TableError::at(path, None, problem)
 }
 
 #[cfg(test)]

@@ -186,8 +186,15 @@ impl<'a, 'input> Reader<'a, 'input> {
         // As of a URDF: right angles written in decimals are right angles.
         let exact = rot.matrix().map(f64::round);
         let near = (rot.matrix() - exact).amax() < RIGHT_ANGLE_TOLERANCE;
+        let (roll, pitch, yaw) = rot.euler_angles();
+        let written = Vector3::new(roll, pitch, yaw);
+        let rpy = written.map(squared);
         let placed = Placement {
-            rot_parent_child: if near { exact } else { rot.into_inner() },
+            rot_parent_child: match near {
+                true => exact,
+                false if rpy == written => rot.into_inner(),
+                false => Placement::from_xyz_rpy(Vector3::zeros(), rpy).rot_parent_child,
+            },
             origin: vector(node, "pos")?.unwrap_or_default(),
         };
         Ok(placed.snapped())
@@ -211,10 +218,7 @@ pub(super) fn ranges_are_radians(root: Node<'_, '_>) -> bool {
         .filter_map(|joint| numbers(joint, "range").ok())
         .flatten()
         .collect();
-    !ends.is_empty()
-        && ends
-            .iter()
-            .all(|end| end.abs() < std::f64::consts::TAU + 0.01)
+    !ends.is_empty() && ends.iter().all(|end| end.abs() < TURN)
 }
 
 fn class_of<'a>(default: Node<'a, '_>) -> &'a str {

@@ -51,6 +51,23 @@ fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
 }
 
 #[test]
+fn right_angles_in_a_quaternion_of_decimals_are_right_angles() {
+    // About x by a right angle, then about y by 0.5 rad: the axes are at a right angle, although no entry of the rest is 0 or 1.
+    let cosine_of_axes = |quat: &str| {
+        let body = "<inertial pos=\"0 0 0.1\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/>";
+        let arm = format!(
+            r#"<mujoco><worldbody><body><joint range="-1 1"/>{body}
+            <body quat="{quat}"><joint range="-1 1"/>{body}</body></body></worldbody></mujoco>"#
+        );
+        whole(&arm).joints[1].placement.rot_parent_child.m33
+    };
+    let rounded = cosine_of_axes("0.685124 0.685126 0.174941 -0.174941");
+    assert_eq!(rounded, 0.0);
+    let other = cosine_of_axes("0.685124 0.6853 0.174941 -0.174941");
+    assert!(other.abs() > 1e-5, "{other}");
+}
+
+#[test]
 fn parts_of_an_mjcf_that_change_the_dynamics_are_refused_by_name() {
     // Text of the file ; its replacement ; part of the message
     let cases = r#"

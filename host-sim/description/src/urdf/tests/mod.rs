@@ -222,6 +222,36 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
 }
 
 #[test]
+fn numbers_that_look_like_other_units_are_asked_about() {
+    for (good, bad, question) in [
+        (
+            "lower=\"-2\" upper=\"2\"",
+            "lower=\"-115\" upper=\"115\"",
+            "joint 'shoulder': its range -115 … 115 rad ends beyond a turn: are these degrees?",
+        ),
+        (
+            "iyy=\"0.02\" iyz=\"0\" izz=\"0.02\"",
+            "iyy=\"20\" iyz=\"0\" izz=\"20\"",
+            "link 'fore': the inertia is that of a body of 3.65 m radius of gyration, the whole arm is 2.5",
+        ),
+    ] {
+        assert!(ARM.contains(good), "{good}");
+        let asked = |text: &str| {
+            let notes = imported(text).notes;
+            notes.iter().any(|note| note.starts_with(question))
+        };
+        assert!(asked(&ARM.replacen(good, bad, 1)), "{question}");
+        assert!(!asked(ARM), "{question}");
+    }
+}
+
+#[test]
+fn the_axis_of_a_fixed_joint_is_not_read() {
+    let axis = "type=\"fixed\"><axis xyz=\"nan nan nan\"/>";
+    assert_eq!(whole(&ARM.replace("type=\"fixed\">", axis)), whole(ARM));
+}
+
+#[test]
 fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     let bare = ARM
         .replace(" effort=\"40\"", "")

@@ -31,7 +31,10 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; hand ; <parent link="base"/> ; <parent link="fore"/> ; link 'upper' closes a loop or has two parents, only a tree is an arm
         ; hand ; <link name="camera"> ; <link name="upper"> ; the name 'upper' is used twice
         ; hand ; <link name="base"/> ; <link name="base"/><link name="loose"/> ; links 'world', 'loose' have no parent: choose one with --base
-        ; ; <robot name="Two-Link"> ; <robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/> ; contains xacro macros: expand them first (xacro FILE)"##;
+        ; ; <robot name="Two-Link"> ; <robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/> ; contains xacro macros: expand the file first (xacro FILE)
+        ; hand ; xyz="0 0 0.5" ; xyz="${h} 0 0.5" ; line 6: <origin> xyz="${h} 0 0.5" is not three numbers: expand the file first (xacro FILE)
+        ; hand ; rpy="1.5708 0 0" ; rpy="90 0 0" ; line 14: <origin> has more than a turn in rpy, which is in radians
+        ; hand ; damping="0.5" ; damping="-0.5" ; joint 'elbow' has the viscous friction -0.5, must not be negative"##;
     for case in cases.trim_start_matches('\n').lines() {
         let [base, tip, good, bad, message] =
             case.split(';').map(str::trim).collect::<Vec<_>>()[..]
@@ -67,6 +70,38 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
     let error = refusal(&planar, &to("left"));
     let message = " (--base 'upper' --tip 'hand' leave it out)";
     assert!(error.ends_with(message), "{error}");
+}
+
+#[test]
+fn too_many_joints_are_cut_at_either_end_and_a_lift_below_them_first() {
+    let chain = |first: &str| {
+        let joint = |k: usize| {
+            let (kind, next) = (if k == 0 { first } else { "continuous" }, k + 1);
+            format!(
+                r#"<joint name="j{k}" type="{kind}"><parent link="l{k}"/><child link="l{next}"/></joint>
+                <link name="l{next}"><inertial><mass value="1"/>
+                <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>"#
+            )
+        };
+        let joints: String = (0..10).map(joint).collect();
+        format!("<robot name=\"chain\"><link name=\"l0\"/>{joints}</robot>")
+    };
+    let long = chain("continuous");
+    let ends = "t: 10 moving joints, an arm has at most 8: choose its ends, such as --base 'l2' or --tip 'l8'";
+    assert_eq!(refusal(&long, &Selection::default()), ends);
+    for (base, tip) in [(Some("l2"), None), (None, Some("l8"))] {
+        let selection = Selection {
+            base,
+            tip,
+            ..Selection::default()
+        };
+        assert_eq!(
+            parse("t", &long, &selection).unwrap().robot.joint_count(),
+            8
+        );
+    }
+    let error = refusal(&chain("prismatic"), &Selection::default());
+    assert!(error.ends_with("(--base 'l1' begins behind it)"), "{error}");
 }
 
 #[test]

@@ -51,7 +51,7 @@ impl Search<'_> {
         let weak = weak.filter(|((_, needed), allowed)| needed > allowed);
         let weak = weak.map(|((joint, needed), _)| {
             format!(
-                "joint '{}' needs {needed:.1} N·m even where it hardly moves, of which {:.1} N·m are friction, its limit is {} N·m",
+                "joint '{}' needs {needed:.3} N·m even where it hardly moves, of which {:.3} N·m are friction, its limit is {} N·m",
                 joint.name, joint.friction.coulomb, joint.limits.torque
             )
         });

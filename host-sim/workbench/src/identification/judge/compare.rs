@@ -91,7 +91,8 @@ fn explain(
     let size = f64::max((y.norm_squared() * rates).sqrt(), 1e-12);
     let spread = (noise * power.dot(&(&inverse * &power))).sqrt();
     Explained {
-        rest: rest / f64::max(variance, 1e-12),
+        // A torque that never changes follows nothing.
+        rest: if variance > 0.0 { rest / variance } else { 1.0 },
         scale: beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),
         drag: (power.dot(&beta) / size, spread / size),
@@ -240,7 +241,7 @@ pub(super) fn compare(
             judgement.find(
                 true,
                 format!(
-                    "gravity does not fit description '{}' ({} times): another arm, another base, or a heavy payload?",
+                    "gravity does not fit description '{}' (times its torque: {}): another arm, another base, or a heavy payload?",
                     robot.name,
                     scales.join("; ")
                 ),

@@ -15,7 +15,7 @@ use super::columns::Layout;
 use super::dataset::Thinned;
 use super::log::Roughness;
 use super::normal::NormalEquations;
-use super::prepare::PrepareConfig;
+use super::prepare::{PrepareConfig, other_unit_of_time};
 use super::stream::for_each_prepared;
 use super::terms::ColumnSet;
 use super::whole_log::WholeLog;
@@ -141,6 +141,12 @@ pub fn judge(
     for path in logs {
         config.check(path, robot)?;
         judgement.period_s = scan(path, robot, &mut extremes)?;
+        let hint = other_unit_of_time(judgement.period_s);
+        if !hint.is_empty() {
+            let text = format!("its rows are {:.3} s apart{hint}", judgement.period_s);
+            judgement.find(true, text);
+            return Ok(judgement);
+        }
     }
     units(&mut judgement, robot, &extremes);
     if judgement.refuses() {
