@@ -71,6 +71,8 @@ pub struct MeasurementWindow<const N: usize> {
     copies: usize,
     /// Age of the last accepted measurement over that of the newest reports, ticks.
     age: usize,
+    /// The window has to fill twice: the first samples after a long gap with copies are late by an unknown time.
+    refill: bool,
 }
 
 /// Samples over which the velocity is taken that gives the ticks between late measurements.
@@ -96,6 +98,7 @@ impl<const N: usize> MeasurementWindow<N> {
             gap: 0,
             copies: 0,
             age: 0,
+            refill: false,
         }
     }
 
@@ -138,14 +141,20 @@ impl<const N: usize> MeasurementWindow<N> {
             self.gap += 1;
             self.copies += usize::from(arrived.is_some());
             if self.is_empty() || self.gap > MAX_BRIDGED {
+                self.refill |= self.copies > 0 && !self.is_empty();
                 self.reset();
             }
             return;
         };
         let ticks = self.ticks_to(&measured.q);
-        self.age = (self.age + self.gap + 1 - ticks).min(MAX_BRIDGED);
-        (self.gap, self.copies) = (0, 0);
-        self.bridge(&measured, ticks);
+        if ticks > MAX_BRIDGED + 1 {
+            self.reset();
+            self.refill = true;
+        } else {
+            self.age = (self.age + self.gap + 1 - ticks).min(TAPS);
+            (self.gap, self.copies) = (0, 0);
+            self.bridge(&measured, ticks);
+        }
         self.append(&measured);
     }
 
@@ -171,7 +180,7 @@ impl<const N: usize> MeasurementWindow<N> {
         // To the nearest whole number; a cast saturates.
         let shown = (ticks * way / square + 0.5) as usize;
         let (least, most) = (clock - self.copies, clock + self.age);
-        shown.min(most).min(MAX_BRIDGED + 1).max(least)
+        shown.min(most).max(least)
     }
 
     /// Fill the `ticks` to `end` with a straight line.
@@ -221,6 +230,9 @@ impl<const N: usize> MeasurementWindow<N> {
         self.tau[self.torque_next % TORQUES] = sum.tau * part;
         self.torque_next = (self.torque_next + 1) % TORQUES;
         self.filled = (self.filled + 1).min(TAPS);
+        if self.filled == TAPS && core::mem::take(&mut self.refill) {
+            self.filled = RECENT + 1;
+        }
     }
 
     /// Motion and torque `DELAY` samples ago; `None` before the window is full, and where a gap repeats a sample for a joint.

@@ -193,3 +193,19 @@ fn a_long_gap_empties_the_window() {
     window.push(Some(&swinging(90)));
     assert_eq!(window.conditioned(1e3).unwrap().tau[0], 75.0);
 }
+
+#[test]
+fn after_a_long_gap_of_copies_the_window_fills_twice() {
+    let mut window = MeasurementWindow::<2>::new(1);
+    (0..50).for_each(|tick| window.push(Some(&swinging(tick))));
+    for _ in 0..=MAX_BRIDGED {
+        window.push(Some(&swinging(49)));
+    }
+    let empty = |tick: &usize| {
+        window.push(Some(&swinging(*tick)));
+        !window.is_full()
+    };
+    let first = 55;
+    let filling = (first..).take_while(empty).count() + 1;
+    assert_eq!(filling, 2 * TAPS - RECENT - 1);
+}
