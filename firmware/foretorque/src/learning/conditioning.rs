@@ -147,14 +147,9 @@ impl<const N: usize> MeasurementWindow<N> {
             return;
         };
         let ticks = self.ticks_to(&measured.q);
-        if ticks > MAX_BRIDGED + 1 {
-            self.reset();
-            self.refill = true;
-        } else {
-            self.age = (self.age + self.gap + 1 - ticks).min(TAPS);
-            (self.gap, self.copies) = (0, 0);
-            self.bridge(&measured, ticks);
-        }
+        self.age = (self.age + self.gap + 1 - ticks).min(MAX_BRIDGED);
+        (self.gap, self.copies) = (0, 0);
+        self.bridge(&measured, ticks);
         self.append(&measured);
     }
 
@@ -180,7 +175,7 @@ impl<const N: usize> MeasurementWindow<N> {
         // To the nearest whole number; a cast saturates.
         let shown = (ticks * way / square + 0.5) as usize;
         let (least, most) = (clock - self.copies, clock + self.age);
-        shown.min(most).max(least)
+        shown.min(most).min(MAX_BRIDGED + 1).max(least)
     }
 
     /// Fill the `ticks` to `end` with a straight line.
