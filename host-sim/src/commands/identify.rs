@@ -1,7 +1,7 @@
 use super::arm::{LogOptions, RobotOptions};
 use super::terminal::Lines;
 use super::terminal::show;
-use super::{Failure, not_negative, positive, unusable};
+use super::{Failure, not_negative, positive, sound, unusable};
 use clap::Args;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::arms;
@@ -10,7 +10,7 @@ use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::{at, remove_stale, write_whole};
 use foretorque_workbench::identification::{
     ColumnSet, Finding, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig,
-    bank_of_fit, cut_offs, identify, judge, longest_period_s, page, unexplained,
+    bank_of_fit, identify, judge, longest_period_s, page, unexplained,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::{or_dash, ratio};
@@ -71,7 +71,7 @@ pub(super) struct Arguments {
     #[arg(long, value_parser = not_negative)]
     torque_hz: Option<f64>,
     /// A joint slower than this stands still, rad/s
-    #[arg(long, default_value_t = 0.05, value_parser = not_negative)]
+    #[arg(long, default_value_t = PrepareConfig::STILL_RAD_S, value_parser = not_negative)]
     still_rad_s: f64,
     /// Where drive gains come from when the logs hold currents: the description, or the gravity torque of the description
     /// over the current while the arm stands still
@@ -147,9 +147,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     let fold_period_s = fold_period_s(arguments)?;
     let logs = [&arguments.logs, &arguments.validate, &arguments.test];
     let logs: Vec<&Path> = logs.into_iter().flatten().map(PathBuf::as_path).collect();
-    let period_s = longest_period_s(&logs, robot)?;
-    let [motion_hz, torque_hz] = cut_offs([40.0, 20.0], period_s);
-    let torque_hz = arguments.torque_hz.unwrap_or(torque_hz);
+    let rows = PrepareConfig::for_rows(longest_period_s(&logs, robot)?);
     let methods = if arguments.methods.is_empty() {
         METHODS.iter().map(|(method, _)| *method).collect()
     } else {
@@ -159,8 +157,11 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         methods,
         columns: arguments.columns.clone(),
         prepare: PrepareConfig {
-            motion_hz: arguments.motion_hz.unwrap_or(motion_hz),
-            torque_hz: Some(torque_hz).filter(|hz| *hz > 0.0),
+            motion_hz: arguments.motion_hz.unwrap_or(rows.motion_hz),
+            torque_hz: arguments
+                .torque_hz
+                .or(rows.torque_hz)
+                .filter(|hz| *hz > 0.0),
             still_rad_s: arguments.still_rad_s,
         },
         gains_from_standstill: arguments.gains == Gains::Standstill,
@@ -303,17 +304,6 @@ fn identify_arm(
         return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
     }
     verdict(refused, bank.is_some())
-}
-
-/// Success for logs without a finding that refuses.
-///
-/// Errors: the first such finding, with the `way` out.
-pub(super) fn sound(judgement: &Judgement, logs: &[PathBuf], way: &str) -> Result<(), Failure> {
-    let refused = judgement.findings.iter().find(|finding| finding.refuses);
-    refused.map_or(Ok(()), |Finding { text, .. }| {
-        let names: Vec<String> = logs.iter().map(|log| log.display().to_string()).collect();
-        Err(unusable(format!("{}: {text} ({way})", names.join(", "))))
-    })
 }
 
 /// Success of a run that wrote a bank.

@@ -31,6 +31,7 @@ pub(crate) use terminal::show_failure;
 
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand};
+use foretorque_workbench::identification::{Finding, Judgement};
 use foretorque_workbench::snapshot;
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -60,6 +61,17 @@ pub(crate) fn exit_code(failure: &Failure) -> u8 {
 
 fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Unusable(reason.into()))
+}
+
+/// Success for logs without a finding that refuses.
+///
+/// Errors: the first such finding, with the `way` out.
+fn sound(judgement: &Judgement, logs: &[PathBuf], way: &str) -> Result<(), Failure> {
+    let refused = judgement.findings.iter().find(|finding| finding.refuses);
+    refused.map_or(Ok(()), |Finding { text, .. }| {
+        let names: Vec<String> = logs.iter().map(|log| log.display().to_string()).collect();
+        Err(unusable(format!("{}: {text} ({way})", names.join(", "))))
+    })
 }
 
 /// A finite number, as the value of an option.

@@ -1,16 +1,13 @@
 use super::arm::{LogOptions, RobotOptions};
 use super::boards::on_arm;
-use super::identify::sound;
 use super::terminal::Bar;
 use super::terminal::show;
-use super::{Failure, bank};
+use super::{Failure, bank, sound};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, StartDeviations};
 use foretorque_studies::replay::{self, ReplayPath};
-use foretorque_workbench::identification::{
-    ColumnSet, PrepareConfig, cut_offs, judge, longest_period_s,
-};
+use foretorque_workbench::identification::{ColumnSet, PrepareConfig, judge, longest_period_s};
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::Robot;
 use std::path::{Path, PathBuf};
@@ -44,12 +41,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     arguments.columns_of_log.apply(&mut robot)?;
     if !arguments.force {
         let logs: Vec<&Path> = arguments.logs.iter().map(PathBuf::as_path).collect();
-        let [motion_hz, torque_hz] = cut_offs([40.0, 20.0], longest_period_s(&logs, &robot)?);
-        let prepare = PrepareConfig {
-            motion_hz,
-            torque_hz: Some(torque_hz),
-            still_rad_s: 0.05,
-        };
+        let prepare = PrepareConfig::for_rows(longest_period_s(&logs, &robot)?);
         let judgement = judge(&robot, &arguments.logs, &ColumnSet::plain(), &prepare)?;
         sound(&judgement, &arguments.logs, "--force replays all the same")?;
     }

@@ -191,25 +191,25 @@ errors! {
     pub enum NackReason {
         LearningOn = "only while learning is off";
         NotCapable = "the board lacks this capability";
-        /// ([`Configuration::PERIODS_US`], and as long as the clock of this board sustains.)
+        /// (Outside [`Configuration::PERIODS_US`], or shorter than the clock of this board sustains.)
         Period = "period out of range";
         Gap {
             /// Offset of the next byte expected.
             #[serde(with = "postcard::fixint::le")]
             expected: u16
         } = "chunk out of order, byte {expected} is next";
-        /// (For the board's buffer; or another upload.)
+        /// (The upload exceeds the board's buffer.)
         TooLong = "parameter bank too long";
         /// (Length or checksum differ from those announced.)
         Checksum = "parameter bank damaged or incomplete";
         /// (The bank does not fit this board.)
         Bank(error: BankError) = "{error}";
-        /// (With the torque at zero.)
+        /// (Only with the torque at zero.)
         Armed = "only while disarmed";
         /// (Safety refuses.)
         Unsafe(reason: SafetyReason) = "{reason}";
         Busy = "busy with an earlier request";
-        /// (Or a permission is.)
+        /// (The board has a key, and signature or permission are missing or wrong.)
         Key = "the write key's signature is missing or wrong";
         /// (The board runs on from RAM.)
         Store(error: StoreError) = "{error}";

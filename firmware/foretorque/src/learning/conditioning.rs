@@ -48,8 +48,8 @@ pub struct ConditionedSample<const N: usize> {
 /// its report is late. A short gap is bridged with a straight line to the next measurement.
 ///
 /// Late reports are put on the time of their measurement. The first one after a copy may have been measured in any tick of
-/// the gap; how many ticks it is ahead of the last one follows from the way that the joints have gone, at their velocity,
-/// as a whole number. So errors of that velocity do not enter, and without copies no measurement is moved.
+/// the gap. The displacement of the joints over their velocity gives the ticks since the measurement before, as a whole
+/// number. So errors of that velocity do not enter, and without copies no measurement is moved.
 ///
 /// Positions are stored twice, `TAPS` apart, so that the window is contiguous wherever it begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,7 +71,7 @@ pub struct MeasurementWindow<const N: usize> {
     copies: usize,
     /// Age of the last accepted measurement over that of the newest reports, ticks.
     age: usize,
-    /// The window has to fill twice: the first samples after a long gap with copies are late by an unknown time.
+    /// The window has to fill twice: its first samples are late by an unknown time, where copies come among them or before.
     refill: bool,
 }
 
@@ -146,6 +146,7 @@ impl<const N: usize> MeasurementWindow<N> {
             }
             return;
         };
+        self.refill |= self.copies > 0 && self.filled <= RECENT;
         let ticks = self.ticks_to(&measured.q);
         self.age = (self.age + self.gap + 1 - ticks).min(MAX_BRIDGED);
         (self.gap, self.copies) = (0, 0);
@@ -154,18 +155,18 @@ impl<const N: usize> MeasurementWindow<N> {
     }
 
     /// Ticks between the last accepted measurement and the one at `q`: those of the clock, or, where one of both may be
-    /// late, those that the way shows.
+    /// late, those that the displacement shows.
     fn ticks_to(&self, q: &JointVector<N>) -> usize {
         let clock = self.gap + 1;
         if self.age + self.copies == 0 || self.filled <= RECENT {
             return clock;
         }
-        let (mut way, mut square) = (0.0, 0.0);
+        let (mut product, mut square) = (0.0, 0.0);
         for (joint, positions) in self.q.iter().enumerate() {
             let at = |sample: usize| positions.get(self.next + sample).copied().unwrap_or(0.0);
             let velocity = at(TAPS - 1) - at(TAPS - 1 - RECENT);
             let change = q.get(joint).zip(self.last.q.get(joint));
-            way += velocity * change.map_or(0.0, |(q, last)| q - last);
+            product += velocity * change.map_or(0.0, |(q, last)| q - last);
             square += velocity * velocity;
         }
         if square == 0.0 {
@@ -173,7 +174,7 @@ impl<const N: usize> MeasurementWindow<N> {
         }
         let ticks = RECENT as f32 * self.decimation as f32;
         // To the nearest whole number; a cast saturates.
-        let shown = (ticks * way / square + 0.5) as usize;
+        let shown = (ticks * product / square + 0.5) as usize;
         let (least, most) = (clock - self.copies, clock + self.age);
         shown.min(most).min(MAX_BRIDGED + 1).max(least)
     }

@@ -240,7 +240,7 @@ impl Robot {
         text: &str,
         selection: &Selection<'_>,
     ) -> Result<Import, Refusal> {
-        // TOML never begins with '<', XML always does; an empty file is what its name tells.
+        // TOML never begins with '<', XML always does; the ending of its name decides for an empty file.
         let named = Path::new(file).extension();
         let is_xml =
             named.is_some_and(|named| ["urdf", "xml", "xacro"].iter().any(|x| named == *x));

@@ -56,6 +56,19 @@ pub(super) fn other_unit_of_time(period_s: f64) -> String {
 }
 
 impl PrepareConfig {
+    /// A joint slower than this stands still, rad/s, by default.
+    pub const STILL_RAD_S: f64 = 0.05;
+
+    /// Filters of an identification for rows `period_s` apart.
+    pub fn for_rows(period_s: f64) -> Self {
+        let [motion_hz, torque_hz] = cut_offs([40.0, 20.0], period_s);
+        Self {
+            motion_hz,
+            torque_hz: Some(torque_hz),
+            still_rad_s: Self::STILL_RAD_S,
+        }
+    }
+
     /// Check that the rows of a log are near enough for the filters.
     ///
     /// Errors: the log's; its rows are too far apart.

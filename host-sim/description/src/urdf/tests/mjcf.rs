@@ -27,13 +27,13 @@ fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
     assert!((gravity[0] - expected).abs() < 1e-12, "{gravity}");
     let error = gravity[1].abs() - 9.8 * lever_elbow;
     assert!(error.abs() < 1e-12, "{gravity}");
-    assert!(import.notes("the arm ends at link 'fore'"));
+    assert!(import.begins("the arm ends at link 'fore'"));
 }
 
 #[test]
 fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
     let read = imported;
-    let noted = |import: &Import| import.notes("no <compiler angle>: angles are taken as radians");
+    let noted = |import: &Import| import.begins("no <compiler angle>: angles are taken as radians");
     let bare = MJCF.replace("angle=\"degree\" ", "");
     // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.
     let degrees = read(&bare);

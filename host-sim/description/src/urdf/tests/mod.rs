@@ -48,7 +48,7 @@ impl Import {
     }
 
     /// A note begins with this.
-    fn notes(&self, start: &str) -> bool {
+    fn begins(&self, start: &str) -> bool {
         self.notes.iter().any(|note| note.starts_with(start))
     }
 }
@@ -264,7 +264,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         "joint 'shoulder': no velocity limit, 2 rad/s",
         "joint 'shoulder': no torque limit, 20 N·m",
     ] {
-        assert!(import.notes(note), "{:?}", import.notes);
+        assert!(import.begins(note), "{:?}", import.notes);
     }
     let broken = ARM.replace("iyy=\"0.03\"", "iyy=\"0.3\"");
     let repair = Selection {
@@ -272,7 +272,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
         ..Selection::default()
     };
     let repaired = parse("t", &broken, &repair).unwrap();
-    assert!(repaired.notes("link 'upper': inertia moved"));
+    assert!(repaired.begins("link 'upper': inertia moved"));
     let moments = repaired.robot.joints[0].link.second_moments();
     assert!(moments.symmetric_eigenvalues().min() > 0.0);
     assert_eq!(parse("t", ARM, &repair).unwrap().robot, to_hand(ARM));

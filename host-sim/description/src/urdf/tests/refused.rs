@@ -128,10 +128,10 @@ fn a_speed_that_friction_does_not_allow_is_no_limit() {
     let import = parse("t", &sticky, &TO_HAND).unwrap();
     assert!((import.robot.joints[1].limits.velocity - 1.475).abs() < 1e-12);
     let note = "joint 'elbow': friction takes 75 % of the torque limit";
-    assert!(import.notes(note), "{:?}", import.notes);
+    assert!(import.begins(note), "{:?}", import.notes);
     let free = parse("t", ARM, &TO_HAND).unwrap();
     assert_eq!(free.robot.joints[1].limits.velocity, 3.0);
-    assert!(!free.notes(note), "{:?}", free.notes);
+    assert!(!free.begins(note), "{:?}", free.notes);
 }
 
 #[test]
