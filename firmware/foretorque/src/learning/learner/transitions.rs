@@ -172,10 +172,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             state.raise_friction_variance(self.config.supervisor.raised_variance);
             let shares = core::array::from_fn(|joint| self.share(joint));
             let supervisor = &self.state.supervisor;
+            let learnt = &supervisor.learnt.evidence;
+            // In the first moments, friction that the loaded set lacks may oppose its torques.
+            let known = learnt.rows() >= self.config.supervisor.training_rows;
             let evidence = Evidence::Round {
                 ticks: N as u32,
-                share: supervisor.learnt.evidence.common(&shares),
-                reversed: supervisor.learnt.evidence.is_reversed(),
+                share: learnt.common(&shares),
+                reversed: known && learnt.is_reversed(),
                 carries_payload: supervisor.carries_payload(),
             };
             self.decide_on(tick, None, evidence);

@@ -46,7 +46,8 @@ pub struct SupervisorConfig {
     pub raised_variance: f32,
     /// Blocks under a payload after which the estimate is updated again: 30 s, in which drives warm up.
     pub pause_blocks: u32,
-    /// Rows after which networks are trained on the residual of a joint whose learnt share stays small.
+    /// Rows that show the arm as it is: after them, torques that oppose the loaded set are reversed, and networks are trained
+    /// on the residual of a joint whose learnt share stays small.
     pub training_rows: u32,
     /// Trust below which the flag is set.
     pub trust_floor: f32,
