@@ -71,6 +71,31 @@ fn an_arm_of_seven_joints_runs_in_a_closed_loop_and_learns() {
 }
 
 #[test]
+fn an_arm_of_more_torque_than_a_sample_carries_sends_currents() {
+    let directory = directory("heavy-run");
+    let ur5 = include_str!("../robots/ur5.toml");
+    let heavy = ur5.replacen("-9.81]", "-196.2]", 1);
+    assert_ne!(heavy, ur5);
+    write(directory.join("heavy.toml"), heavy);
+    let run = "run --robot heavy.toml --torque-limits 3000 --trajectory validation --duration-s 0.5 --learn --out out";
+    let stderr = fails(&directory, &format!("{run} --drive-gains 1"));
+    assert!(
+        stderr.contains(
+            "3000 N·m at 1 N·m/A is more than the 512 A that a sample carries: give --drive-gains"
+        ),
+        "{stderr}"
+    );
+    succeeds(&directory, &format!("{run} --drive-gains 10"));
+    let report = json(directory.join("out/report.json"));
+    let torque = report["feed_forward_rms_nm"].as_array().expect("torques");
+    assert!(torque[1].as_f64() > Some(520.0), "{torque:?}");
+    assert!(
+        report["flag_ticks"].get("no_measurement").is_none(),
+        "{report}"
+    );
+}
+
+#[test]
 fn a_described_robot_has_an_arm() {
     let directory = directory("no-arm");
     let ur5 = include_str!("../robots/ur5.toml");

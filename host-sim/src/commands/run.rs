@@ -7,9 +7,10 @@ use super::{Failure, bank, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
+use foretorque::joint::JointVector;
 use foretorque_link::excitation::{ExcitationCommand, ExcitationState};
 use foretorque_link::store::StoreHealth;
-use foretorque_link::wire::{Configuration, Field};
+use foretorque_link::wire::{Configuration, Effort, Field};
 use foretorque_workbench::board::{BoardError, Client};
 use foretorque_workbench::closed_loop::{ClosedLoop, TickRecord, motion_f32};
 use foretorque_workbench::dynamics::{Joints, State};
@@ -108,7 +109,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
     robot: &Robot,
 ) -> Result<(), Failure> {
-    let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
+    let mut bank = arguments.bank.as_deref().map(bank::read).transpose()?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
     let stream = arguments.stream();
     let mut board = arguments.board.connect::<A, N, P>(stream.as_deref())?;
@@ -120,6 +121,17 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
             brake_close_ms: arguments.brake_close_ms,
             ..board.hello().configuration
         })?;
+    }
+    if robot
+        .joints
+        .iter()
+        .any(|joint| joint.limits.torque > f64::from(Effort::MAX))
+    {
+        let gains: JointVector<N> = gains_for_currents(robot)?;
+        let mut with_gains = bank.map_or_else(|| board.read_bank(), Ok)?;
+        with_gains.drive_gains_nm_a = gains.iter().copied().collect();
+        bank = Some(with_gains);
+        board.send_currents(gains);
     }
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;
@@ -151,6 +163,25 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     };
     let report = log.seen.report(run, &statistics);
     log.finish(&report, &learnt, arguments)
+}
+
+/// Drive gains of `robot`, N × N·m/A, with which a sample carries the currents of all torques.
+///
+/// Errors: a joint whose gain is too small for that.
+fn gains_for_currents<const N: usize>(robot: &Robot) -> Result<JointVector<N>, Failure> {
+    for joint in &robot.joints {
+        let (limit, gain) = (joint.limits.torque, joint.drive.gain);
+        if limit / gain > f64::from(Effort::MAX) {
+            return Err(unusable(format!(
+                "joint {}: {limit} N·m at {gain} N·m/A is more than the {:.0} A that a sample carries: give --drive-gains",
+                joint.name,
+                Effort::MAX
+            )));
+        }
+    }
+    Ok(JointVector::from_fn(|j, _| {
+        robot.joints[j].drive.gain as f32
+    }))
 }
 
 /// Plays the scene to its end, or to that of the board's excitation.

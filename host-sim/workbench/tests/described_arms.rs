@@ -50,6 +50,22 @@ fn sample<A: Arm<N, P>, const N: usize, const P: usize>(tick: u32) -> JointSampl
     JointSample { desired, measured }
 }
 
+#[test]
+fn a_motion_beyond_the_range_of_a_sample_is_refused_and_nothing_is_sent() {
+    let mut board = client::<Panda, 7, 48>();
+    let mut sample = sample::<Panda, 7, 48>(0);
+    let tick = board.sample(&sample).unwrap().tick;
+    sample.desired.qdd[2] = -70.5;
+    let refused = board.sample(&sample).unwrap_err().to_string();
+    assert_eq!(
+        refused,
+        "the desired motion of joint 3 reaches -70.5 rad/s², a sample carries up to 64 rad/s²: lower the limits of the \
+         arm, or slow the path down"
+    );
+    sample.desired.qdd[2] = 0.0;
+    assert_eq!(board.sample(&sample).unwrap().tick, tick + 1);
+}
+
 /// Everything that a session answers, compiled and read: torques, flags, and the bank after learning.
 fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
     let robot = Robot::load(name).unwrap();

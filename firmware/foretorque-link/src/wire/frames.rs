@@ -116,12 +116,13 @@ impl<const N: usize> SampleFrame<N> {
         self
     }
 
-    /// The sample in the units of the tick.
+    /// The sample in the units of the tick. With an effort at the end of its range nothing counts as measured.
     ///
-    /// * `gains` drive gains, N × N·m/A; where a required one is not positive, nothing counts as measured
+    /// * `gains` drive gains, N × N·m/A; where a required one is not positive, nothing counts as measured, either
     pub fn sample(&self, gains: &[f32; N]) -> JointSample<N> {
         let current = self.flags.contains(SampleFlags::CURRENT);
         let known = !current || gains.iter().all(|&gain| gain > 0.0);
+        let known = known && !self.effort.iter().any(|effort| effort.is_saturated());
         let effort = decoded(&self.effort, Effort::decode);
         let measured =
             (self.flags.contains(SampleFlags::MEASURED) && known).then(|| JointMeasurement {

@@ -14,6 +14,8 @@ const VELOCITY: f64 = 2.0;
 /// Torque limit where the file gives none, in units of the weight at full stretch with friction and rotor at their largest, and
 /// added to it, N·m.
 const TORQUE: (f64, f64) = (1.5, 1.0);
+/// Largest motor current at the torque limit, A: a board's sample carries up to 512 A.
+const CURRENT: f64 = 500.0;
 /// Largest share of a torque limit that friction takes at the velocity limit.
 const FRICTION_SHARE: f64 = 0.75;
 const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);
@@ -119,13 +121,9 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             without.join("', '")
         ));
     }
-    let bare = joints.iter().all(|joint| joint.drive.rotor_inertia == 0.0);
-    let rotors = if bare { "rotor inertias 0, " } else { "" };
-    notes.push(format!(
-        "drives are not described: {rotors}gains 1 N·m/A, {ENCODER_BITS}-bit encoders"
-    ));
     wide_links(&joints, &link_frame, &mut notes);
     assume_torques(&mut joints, &mut notes);
+    assume_gains(&mut joints, &mut notes);
     lower_speeds(&mut joints, &mut notes);
     let robot = Robot {
         name: plain_name(&document.name),
@@ -310,6 +308,24 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
             joint.name
         ));
     }
+}
+
+/// Takes the least power of ten as gain of each drive, from 1 N·m/A on, at which a sample carries the current.
+fn assume_gains(joints: &mut [Joint], notes: &mut Vec<String>) {
+    let bare = joints.iter().all(|joint| joint.drive.rotor_inertia == 0.0);
+    let rotors = if bare { "rotor inertias 0, " } else { "" };
+    let mut gains = "1 N·m/A".to_owned();
+    for joint in joints {
+        while joint.limits.torque > CURRENT * joint.drive.gain {
+            joint.drive.gain *= 10.0;
+        }
+        if joint.drive.gain > 1.0 {
+            gains += &format!(" but {} N·m/A at '{}'", joint.drive.gain, joint.name);
+        }
+    }
+    notes.push(format!(
+        "drives are not described: {rotors}gains {gains}, {ENCODER_BITS}-bit encoders"
+    ));
 }
 
 /// Lowers velocity limits that a joint does not reach, because friction leaves no torque there.

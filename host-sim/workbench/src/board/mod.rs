@@ -82,6 +82,11 @@ pub enum BoardError {
     /// The board started over in the middle of the conversation.
     #[error("the board has started over ({0:?})")]
     Restarted(ResetReason),
+    /// The desired motion is beyond the range of a sample: joint from 1 on, value, unit, range.
+    #[error(
+        "the desired motion of joint {0} reaches {1:.1} {2}, a sample carries up to {3:.0} {2}: lower the limits of the arm, or slow the path down"
+    )]
+    BeyondSample(usize, f32, &'static str, f32),
     /// The board refused.
     #[error("the board refused: {0}")]
     Refused(NackReason),

@@ -6,6 +6,7 @@ mod sizes;
 use super::*;
 use crate::wire::codec::encode_as;
 use core::fmt::Debug;
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use proptest::prelude::*;
 use proptest::sample::select;
 use serde::Serialize;
@@ -35,6 +36,37 @@ fn receive<M: DeserializeOwned>(bytes: &[u8]) -> (Vec<(u16, M)>, Vec<DecodeError
         }
     }
     (good, bad)
+}
+
+#[test]
+fn an_effort_at_the_end_of_its_range_leaves_the_sample_without_measurement() {
+    let frame = SampleFrame::new(&JointSample {
+        desired: JointMotion::zero(),
+        measured: Some(JointMeasurement {
+            q: JointVector::<N>::repeat(0.5),
+            tau: JointVector::repeat(1.0),
+        }),
+    });
+    for (effort, measured) in [
+        (Effort::MAX - Effort::RESOLUTION, true),
+        (Effort::MAX, false),
+        (600.0, false),
+        (-600.0, false),
+    ] {
+        let mut frame = frame;
+        frame.effort[4] = Effort::encode(effort);
+        let sample = frame.sample(&[0.0; N]);
+        let tau = sample.measured.map(|measured| measured.tau[4]);
+        assert_eq!(tau, measured.then_some(effort), "{effort}");
+        assert_eq!(
+            frame
+                .with_current(&JointVector::repeat(effort))
+                .sample(&[2.0; N])
+                .measured
+                .is_some(),
+            measured
+        );
+    }
 }
 
 /// Compares bits, so that NaN counts as equal to itself.

@@ -266,6 +266,10 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     ] {
         assert!(import.begins(note), "{:?}", import.notes);
     }
+    let strong = imported(&ARM.replacen("effort=\"40\"", "effort=\"501\"", 1));
+    assert_eq!(strong.robot.joints[0].drive.gain, 10.0);
+    let note = "drives are not described: rotor inertias 0, gains 1 N·m/A but 10 N·m/A at 'shoulder', 17-bit encoders";
+    assert!(strong.has(note), "{:?}", strong.notes);
     let broken = ARM.replace("iyy=\"0.03\"", "iyy=\"0.3\"");
     let repair = Selection {
         repair: true,

@@ -2,14 +2,14 @@
 
 use super::{BoardError, BoardShares, Client, TickReply, acknowledged, refused};
 use foretorque::feedforward::Torque;
-use foretorque::joint::JointSample;
+use foretorque::joint::{JointMotion, JointSample};
 use foretorque::limits::Flags;
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::excitation::{ExcitationCommand, ExcitationProgram, ExcitationState};
 use foretorque_link::safety::{ARM_SAMPLES, SafetyReason, SafetyState, SafetyStatus};
 use foretorque_link::wire::{
-    BankSource, BoardMessage, CHUNK, Capabilities, HostMessage, MAC_BYTES, NackReason, SampleFlags,
-    SampleFrame, TorqueFrame,
+    Acceleration, BankSource, BoardMessage, CHUNK, Capabilities, HostMessage, MAC_BYTES,
+    NackReason, Position, SampleFlags, SampleFrame, TorqueFrame, Velocity,
 };
 use foretorque_link::write_key::WriteKey;
 use std::time::Duration;
@@ -146,9 +146,31 @@ const DISARM_SAMPLES: u32 = 20_000;
 impl<const N: usize> Client<N> {
     /// Runs one tick with `sample` and returns its torque.
     ///
-    /// Errors: as below; after [`BoardError::Timeout`] the sample counts as lost and the next one may follow.
+    /// Errors: as below; after [`BoardError::Timeout`] the sample counts as lost and the next one may follow;
+    /// [`BoardError::BeyondSample`] before anything is sent.
     pub fn sample(&mut self, sample: &JointSample<N>) -> Result<TickReply<N>, BoardError> {
-        self.sample_frame(&SampleFrame::new(sample))
+        let JointMotion { q, qd, qdd } = &sample.desired;
+        for (values, unit, range) in [
+            (q, "rad", Position::MAX),
+            (qd, "rad/s", Velocity::MAX),
+            (qdd, "rad/s²", Acceleration::MAX),
+        ] {
+            // Infinities saturate, so that boards can be given them.
+            let beyond = |value: f32| value.is_finite() && value.abs() > range;
+            if let Some(joint) = values.iter().position(|&value| beyond(value)) {
+                return Err(BoardError::BeyondSample(
+                    joint + 1,
+                    values[joint],
+                    unit,
+                    range,
+                ));
+            }
+        }
+        let mut frame = SampleFrame::new(sample);
+        if let (Some(gains), Some(measured)) = (&self.gains, &sample.measured) {
+            frame = frame.with_current(&measured.tau.component_div(gains));
+        }
+        self.sample_frame(&frame)
     }
 
     /// [`sample`](Self::sample) for a frame made elsewhere: with currents, or temperatures. Its period is numbered here.

@@ -63,6 +63,8 @@ pub struct Client<const N: usize> {
     /// Telemetry that the board sent unasked.
     telemetry: Vec<TelemetryFrame>,
     key: Option<WriteKey>,
+    /// Gains by which efforts are sent as currents, N × N·m/A.
+    gains: Option<JointVector<N>>,
 }
 
 impl<const N: usize> Client<N> {
@@ -91,6 +93,7 @@ impl<const N: usize> Client<N> {
             presented: None,
             telemetry: Vec::new(),
             key: None,
+            gains: None,
         };
         client.hello = client.greet(boot)?;
         client.safety = client.hello.safety;
@@ -108,6 +111,11 @@ impl<const N: usize> Client<N> {
     /// Signs uploads from now on, where the board asks for it.
     pub fn set_write_key(&mut self, key: WriteKey) {
         self.key = Some(key);
+    }
+
+    /// Sends measured torques as motor currents from now on. The board knows the `gains`, N × N·m/A, from its bank.
+    pub fn send_currents(&mut self, gains: JointVector<N>) {
+        self.gains = Some(gains);
     }
 
     /// How long an answer is waited for.
