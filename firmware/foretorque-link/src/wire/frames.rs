@@ -122,8 +122,9 @@ impl<const N: usize> SampleFrame<N> {
     pub fn sample(&self, gains: &[f32; N]) -> JointSample<N> {
         let current = self.flags.contains(SampleFlags::CURRENT);
         let known = !current || gains.iter().all(|&gain| gain > 0.0);
-        let known = known && !self.effort.iter().any(|effort| effort.is_saturated());
         let effort = decoded(&self.effort, Effort::decode);
+        let saturated = |effort: &f32| effort.abs() >= Effort::MAX;
+        let known = known && !black_box(effort.as_slice()).iter().any(saturated);
         let measured =
             (self.flags.contains(SampleFlags::MEASURED) && known).then(|| JointMeasurement {
                 q: decoded(&self.q, Position::decode),
@@ -351,7 +352,10 @@ fn encoded<T: Copy + Default, const N: usize>(values: &[f32], encode: impl Fn(f3
 
 /// Values of a vector.
 #[inline(never)]
-fn decoded<T: Copy, const N: usize>(codes: &[T; N], decode: impl Fn(T) -> f32) -> JointVector<N> {
+fn decoded<T: Copy, const N: usize>(
+    codes: &[T; N],
+    mut decode: impl FnMut(T) -> f32,
+) -> JointVector<N> {
     let mut values = JointVector::<N>::zeros();
     // Hides the length from the compiler, which would unroll the loop into 1 kB of flash.
     for (value, &code) in values

@@ -77,11 +77,6 @@ impl<const BYTES: usize, const BITS: u32> Scaled<BYTES, BITS> {
             code as f32 * Self::RESOLUTION
         }
     }
-
-    /// True at the ends of the range, where the value may have saturated.
-    pub fn is_saturated(self) -> bool {
-        self.decode().abs() >= Self::MAX
-    }
 }
 
 impl<const BYTES: usize, const BITS: u32> Default for Scaled<BYTES, BITS> {

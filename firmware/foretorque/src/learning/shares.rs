@@ -138,6 +138,7 @@ impl<const N: usize> ShareEvidence<N> {
     }
 
     /// Number of rows of all joints.
+    #[inline(never)]
     pub(super) fn rows(&self) -> u32 {
         let rows = self.joints.iter().map(|(_, _, rows)| *rows);
         rows.fold(0, u32::saturating_add)
