@@ -352,10 +352,7 @@ fn encoded<T: Copy + Default, const N: usize>(values: &[f32], encode: impl Fn(f3
 
 /// Values of a vector.
 #[inline(never)]
-fn decoded<T: Copy, const N: usize>(
-    codes: &[T; N],
-    mut decode: impl FnMut(T) -> f32,
-) -> JointVector<N> {
+fn decoded<T: Copy, const N: usize>(codes: &[T; N], decode: impl Fn(T) -> f32) -> JointVector<N> {
     let mut values = JointVector::<N>::zeros();
     // Hides the length from the compiler, which would unroll the loop into 1 kB of flash.
     for (value, &code) in values

@@ -14,7 +14,7 @@ const VELOCITY: f64 = 2.0;
 /// Torque limit where the file gives none, in units of the weight at full stretch with friction and rotor at their largest, and
 /// added to it, N·m.
 const TORQUE: (f64, f64) = (1.5, 1.0);
-/// Largest motor current at the torque limit, A: a board's sample carries up to 512 A.
+/// Largest motor current at the torque limit with an assumed gain, A: a board's sample carries up to 512 A.
 const CURRENT: f64 = 500.0;
 /// Largest share of a torque limit that friction takes at the velocity limit.
 const FRICTION_SHARE: f64 = 0.75;
@@ -310,7 +310,7 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
     }
 }
 
-/// Takes the least power of ten as gain of each drive, from 1 N·m/A on, at which a sample carries the current.
+/// Takes as gain of each drive the least power of ten, from 1 N·m/A on, with which its current stays within [`CURRENT`].
 fn assume_gains(joints: &mut [Joint], notes: &mut Vec<String>) {
     let bare = joints.iter().all(|joint| joint.drive.rotor_inertia == 0.0);
     let rotors = if bare { "rotor inertias 0, " } else { "" };

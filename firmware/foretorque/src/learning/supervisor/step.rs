@@ -12,7 +12,7 @@ pub(crate) struct SupervisorState {
     pub(crate) phase: Phase,
     /// True while the common share is large, with hysteresis.
     pub(crate) following: bool,
-    /// True while the measured torques oppose those of the loaded set, after enough rows to say so.
+    /// True while the measured torques oppose those of the loaded set, over at least `training_rows` rows.
     pub(crate) reversed: bool,
     /// Ticks of following until the next commit.
     pub(crate) commit_in: u32,

@@ -155,9 +155,7 @@ impl<const N: usize> Client<N> {
             (qd, "rad/s", Velocity::MAX),
             (qdd, "rad/s²", Acceleration::MAX),
         ] {
-            // Infinities saturate, so that boards can be given them.
-            let beyond = |value: f32| value.is_finite() && value.abs() > range;
-            if let Some(joint) = values.iter().position(|&value| beyond(value)) {
+            if let Some(joint) = values.iter().position(|value| value.abs() > range) {
                 return Err(BoardError::BeyondSample(
                     joint + 1,
                     values[joint],
