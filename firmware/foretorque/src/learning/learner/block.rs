@@ -17,10 +17,8 @@ use crate::learning::supervisor::payload_test::PayloadDecision;
 use crate::learning::supervisor::step::Evidence;
 use crate::math::sqrt;
 
-/// Range of a joint's usual block variance, in units of the configured noise. White noise leaves a tenth in a block of ten.
-const BLOCK_RANGE: (f32, f32) = (0.1, 400.0);
-/// Bound of a block's square, in units of the usual variance: changes to be detected are not usual.
-const BLOCK_CLIP: f32 = 4.0;
+/// Least usual block variance of a joint, in units of the configured noise. White noise leaves a tenth in a block of ten.
+const LEAST_BLOCK_VARIANCE: f32 = 0.1;
 /// Memory of the usual variance, blocks; the first ones are averaged.
 const BLOCK_MEMORY: u32 = 256;
 /// Correlation length of the friction error, blocks: 1 s. Averaging blocks does not reduce this error, so its variance
@@ -145,7 +143,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 let deviation = unit * sqrt(noise + lasting);
                 test.add_row(payload, &row, tau, sigma, deviation);
                 let expected = *usual + innovation - measured;
-                update_block_variance(usual, blocks, residual * residual);
+                update_block_variance(usual, blocks, residual, config.detector.clip);
                 if supervisor.updates_payload(config) {
                     supervisor.payload_filter.update(&row, tau, inflated);
                 }
@@ -226,19 +224,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     }
 }
 
-/// Update the usual variance with the `square` of one block; `blocks` is the number of blocks behind it.
-fn update_block_variance(usual: &mut f32, blocks: &mut u32, square: f32) {
-    let young = *blocks < BLOCK_MEMORY;
-    *blocks += u32::from(young);
-    let most = if young {
-        BLOCK_RANGE.1
-    } else {
-        BLOCK_CLIP * *usual
-    };
+/// Update the usual variance with the `residual` of one block; `blocks` is the number of blocks behind it.
+///
+/// A block counts as far as change detection counts it, up to `clip` deviations: errors of a model come in bursts, and a
+/// lower bound would take each burst for a change.
+fn update_block_variance(usual: &mut f32, blocks: &mut u32, residual: f32, clip: f32) {
+    *blocks += u32::from(*blocks < BLOCK_MEMORY);
+    let (square, most) = (residual * residual, clip * clip * *usual);
     let counted = if square < most { square } else { most };
     *usual += (counted - *usual) / *blocks as f32;
-    if *usual < BLOCK_RANGE.0 {
-        *usual = BLOCK_RANGE.0;
+    if *usual < LEAST_BLOCK_VARIANCE {
+        *usual = LEAST_BLOCK_VARIANCE;
     }
 }
 
@@ -255,4 +251,38 @@ fn is_plausible<A: Arm<N, P>, const N: usize, const P: usize>(
             && qdd.abs() <= acceleration_limit
             && tau.abs() <= 2.0 * limits.torque
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::ur5::{LearnerConfig, Ur5};
+    use crate::learning::change_detection::ChangeDetector;
+
+    /// Blocks at which a joint's residuals raise an alarm.
+    fn alarms(residuals: impl Iterator<Item = f32>) -> std::vec::Vec<usize> {
+        let config = LearnerConfig::for_arm::<Ur5>(1e-3).supervisor.detector;
+        let mut detector = ChangeDetector::<1>::new();
+        let (mut usual, mut blocks) = (1.0, 0);
+        let alarm = |(block, residual): (usize, f32)| {
+            let alarm = detector.push(&config, 0, residual / sqrt(usual));
+            update_block_variance(&mut usual, &mut blocks, residual, config.clip);
+            alarm.map(|_| {
+                detector = ChangeDetector::new();
+                block
+            })
+        };
+        residuals.enumerate().filter_map(alarm).collect()
+    }
+
+    #[test]
+    fn bursts_that_return_are_usual_and_a_change_is_not() {
+        // Every 2 s of a path the model errs for 0.2 s.
+        let bursts = |block| if block % 200 < 180 { 1.0 } else { 6.0 };
+        let known = alarms((0..4000).map(bursts));
+        assert!(known.iter().all(|block| *block < 400), "{known:?}");
+        let changed = (0..4000).map(|block| bursts(block) + if block < 3000 { 0.0 } else { 20.0 });
+        let first = alarms(changed).into_iter().find(|block| *block >= 3000);
+        assert!(first.is_some_and(|block| block < 3010), "{first:?}");
+    }
 }
