@@ -83,7 +83,7 @@ pub(super) struct Arguments {
     /// The truth is the plant that `simulate --seed` made of that robot
     #[arg(long, value_name = "SEED", requires = "truth")]
     truth_seed: Option<u64>,
-    /// Seed of random starts and of the 80/20 split
+    /// Seed of random starts
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }

@@ -3,7 +3,7 @@
 use super::IdentifyError;
 use super::columns::Layout;
 use super::consistent::consistent;
-use super::dataset::{Dataset, SampleRow};
+use super::dataset::Dataset;
 use super::evidence::evidence;
 use super::judge::description;
 use super::methods::{Fit, MethodName, wls};
@@ -14,7 +14,7 @@ use super::stream::for_each_prepared;
 use super::terms::FrictionTerm;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, Trace};
-use super::validation::{errors, learning_curves, split};
+use super::validation::{learning_curves, split};
 use crate::robot::Robot;
 use crate::training::{Descent, PhysicalConfig};
 use foretorque::dynamics::FrictionColumn;
@@ -45,7 +45,8 @@ impl Study<'_> {
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
-        let splits = split(&self.problem, &self.dataset.sample.kept)?;
+        let mut splits = split(&self.problem, &self.rivals(), &self.dataset.sample.kept)?;
+        let of_rivals = splits.split_off(self.results.len());
         let described = description(self.problem.robot, layout);
         let mut methods = Methods::new();
         for (result, split) in self.results.iter().zip(splits) {
@@ -59,10 +60,9 @@ impl Study<'_> {
             }
             methods.insert(result.name.to_string(), record);
         }
-        let sample: Vec<&SampleRow> = self.dataset.sample.kept.iter().collect();
-        for (name, candidate) in RIVALS.iter().zip(self.rivals()) {
+        for (name, split_80_20) in RIVALS.iter().zip(of_rivals) {
             let record = MethodRecord {
-                split_80_20: errors(layout, &candidate, &sample),
+                split_80_20,
                 ..MethodRecord::default()
             };
             methods.insert((*name).to_owned(), record);
@@ -215,23 +215,37 @@ impl Study<'_> {
     }
 }
 
-/// Place of the method with the least error on moving rows it was not trained on, of those the board can run: mean over
-/// the validation logs, or without any the rows that the split held out.
+/// Place of the method for the bank, of those the board can run: the one with the least mean error on the validation logs.
+///
+/// Without such logs, stretches of the training logs that were held out decide, and the standard error of their mean counts:
+/// of the methods within it of the least, the most constrained one is taken, the physically consistent parameters first
+/// [Hastie, Tibshirani, Friedman 2009, §7.10]. Another path shows what this one hides.
 pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize {
-    let error = |result: &MethodResult| {
-        let record = &methods[&result.name.to_string()];
-        let logs = record.validation.values();
-        let errors = logs.map(|log| log.joints_nrmse_moving_ratio);
-        let split = record.split_80_20.nrmse_moving_ratio.iter().flatten();
-        match record.validation.len() {
-            0 => split.map(|ratio| ratio * ratio).sum::<f64>(),
-            logs => errors.sum::<f64>() / logs as f64,
-        }
-    };
+    let record = |place: usize| &methods[&results[place].name.to_string()];
     let on_board = |place: &usize| !matches!(results[*place].candidate, Candidate::BlackBox(_));
-    let order = |a: &usize, b: &usize| error(&results[*a]).total_cmp(&error(&results[*b]));
-    let places = (0..results.len()).filter(on_board);
-    places.min_by(order).unwrap_or(0)
+    let places = || (0..results.len()).filter(on_board);
+    let least = |error: &dyn Fn(usize) -> f64| {
+        places()
+            .min_by(|&a, &b| error(a).total_cmp(&error(b)))
+            .unwrap_or(0)
+    };
+    if places().any(|place| !record(place).validation.is_empty()) {
+        return least(&|place| {
+            let logs = record(place).validation.values();
+            logs.map(|log| log.joints_nrmse_moving_ratio).sum()
+        });
+    }
+    let mean = |place: usize| record(place).split_80_20.mean().0;
+    let best = least(&mean);
+    let bound = mean(best) + record(best).split_80_20.mean().1;
+    let constrained = [MethodName::Consistent, MethodName::Evidence];
+    let mut constrained = constrained
+        .iter()
+        .filter_map(|name| places().find(|&place| results[place].name == *name));
+    // Without two stretches there is no bound, and nothing speaks against the first.
+    constrained
+        .find(|&place| bound.is_nan() || mean(place) <= bound)
+        .unwrap_or(best)
 }
 
 /// The file's name, or its path where two files share a name.
@@ -293,4 +307,64 @@ fn error_curve(
         }
     }
     curve
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::record::{SplitRecord, ValidationRecord};
+
+    /// Method for the bank by the errors on held-out stretches, and on an unseen log.
+    fn chosen(errors: &[(MethodName, [f64; 5], Option<f64>)]) -> MethodName {
+        let mut methods = Methods::new();
+        let results = errors.iter().map(|&(name, stretches, unseen)| {
+            let mut record = MethodRecord {
+                split_80_20: SplitRecord {
+                    stretches_nrmse_moving_ratio: stretches.to_vec(),
+                    ..SplitRecord::default()
+                },
+                ..MethodRecord::default()
+            };
+            let unseen = unseen.map(|joints_nrmse_moving_ratio| ValidationRecord {
+                joints_nrmse_moving_ratio,
+                ..ValidationRecord::default()
+            });
+            let logs = unseen.map(|unseen| ("log".to_owned(), unseen));
+            record.validation = logs.into_iter().collect();
+            methods.insert(name.to_string(), record);
+            MethodResult::plain(name, Candidate::Linear(DVector::zeros(1)), 1)
+        });
+        let results: Vec<_> = results.collect();
+        results[recommended(&results, &methods)].name
+    }
+
+    #[test]
+    fn constrained_parameters_are_taken_unless_held_out_stretches_speak_against_them() {
+        use MethodName::{Consistent, Evidence, Ols, Wls};
+        // Errors that scatter by more than the methods differ.
+        let ols = [0.95, 1.07, 0.77, 0.75, 1.76];
+        let consistent = [1.17, 1.38, 1.14, 1.01, 1.45];
+        assert_eq!(
+            chosen(&[(Ols, ols, None), (Consistent, consistent, None)]),
+            Consistent
+        );
+        // The description has another mechanism than the arm.
+        let (wls, evidence) = (
+            [0.59, 0.32, 0.36, 0.33, 0.44],
+            [0.61, 0.33, 0.38, 0.36, 0.43],
+        );
+        let all = [
+            (Wls, wls, None),
+            (Consistent, [0.9; 5], None),
+            (Evidence, evidence, None),
+        ];
+        assert_eq!(chosen(&all), Evidence);
+        // Unseen logs have the last word.
+        let unseen = [
+            (Wls, wls, Some(0.2)),
+            (Consistent, wls, Some(0.3)),
+            (Evidence, wls, Some(0.4)),
+        ];
+        assert_eq!(chosen(&unseen), Wls);
+    }
 }

@@ -14,8 +14,6 @@ use super::uncertainty::{middle, resample};
 use crate::dynamics::PerJoint;
 use crate::metrics::{ErrorSums, nrmse, root_mean, root_mean_square};
 use nalgebra::DMatrix;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Time, measured torque, and the torque that every candidate predicts, N·m.
 pub(super) type Trace = Vec<(f64, PerJoint<f64>, Vec<PerJoint<f64>>)>;
@@ -200,27 +198,41 @@ impl FileScores {
     }
 }
 
-/// Share of the rows the paper trains on.
-const TRAINING_SHARE: f64 = 0.8;
+/// Stretches of the log that are held out in turn: the paper trains on 80 %, and validates on 20 %.
+const STRETCHES: usize = 5;
 /// Rows of the whole log that are shared out for the learning curves.
 const ROWS: usize = 4000;
 /// Shares from the start of the log.
 const SHARES: [f64; 5] = [0.0625, 0.125, 0.25, 0.5, 1.0];
 
-/// Errors on 20 % of the rows, drawn at random, of every method trained on the rest.
+/// Errors of every method on each fifth of the log, trained on the other four, and then of `rivals`.
+///
+/// A fifth is a stretch of time. Rows drawn at random lie between rows of training, and hide what a method makes of motion
+/// it has not seen. A fifth without which the rest does not show every parameter is left out.
 pub(super) fn split(
     problem: &Problem<'_>,
+    rivals: &[Candidate],
     sample: &[SampleRow],
 ) -> Result<Vec<SplitRecord>, IdentifyError> {
-    let mut random = ChaCha8Rng::seed_from_u64(problem.seed);
-    let (training, held_out): (Vec<&SampleRow>, Vec<&SampleRow>) = sample
+    let layout = problem.layout;
+    let mut sums = vec![Vec::new(); problem.methods.len() + rivals.len()];
+    for stretch in 0..STRETCHES {
+        let [from, to] = [stretch, stretch + 1].map(|k| k * sample.len() / STRETCHES);
+        let rest = sample[..from].iter().chain(&sample[to..]);
+        let data = TrainingData::of(layout, rest.collect());
+        if data.sums.all.check_rank(layout).is_err() {
+            continue;
+        }
+        let results = solve_all(problem, &data, &|_| ())?;
+        let trained = results.iter().map(|result| &result.candidate);
+        for (sums, candidate) in sums.iter_mut().zip(trained.chain(rivals)) {
+            sums.push(error_sums(layout, candidate, &sample[from..to]));
+        }
+    }
+    let joints = layout.joints();
+    Ok(sums
         .iter()
-        .partition(|_| random.random_range(0.0..1.0) < TRAINING_SHARE);
-    let data = TrainingData::of(problem.layout, training);
-    let results = solve_all(problem, &data, &|_| ())?;
-    let records = results.iter();
-    Ok(records
-        .map(|result| errors(problem.layout, &result.candidate, &held_out))
+        .map(|sums| SplitRecord::of(joints, sums))
         .collect())
 }
 
@@ -232,7 +244,6 @@ pub(super) fn learning_curves(
 ) -> Vec<(MethodName, Vec<LearningPoint>)> {
     let stride = sample.len().div_ceil(ROWS).max(1);
     let rows: Vec<&SampleRow> = sample.iter().step_by(stride).collect();
-    let unseen: Vec<&SampleRow> = unseen.iter().collect();
     let methods = problem.methods.iter();
     methods
         .map(|&name| {
@@ -246,12 +257,12 @@ pub(super) fn learning_curves(
                 // A share that does not show every parameter has no point.
                 data.sums.all.check_rank(problem.layout).ok()?;
                 let result = solve_all(&one, &data, &|_| ()).ok()?.pop()?;
-                let errors = errors(problem.layout, &result.candidate, &unseen);
+                let sums = error_sums(problem.layout, &result.candidate, unseen);
                 Some(LearningPoint {
                     share_ratio,
                     rows: count,
                     seconds: result.seconds,
-                    joints_nrmse_moving_ratio: root_mean_square(&errors.nrmse_moving_ratio),
+                    joints_nrmse_moving_ratio: nrmse(&sums),
                 })
             });
             (name, points.collect())
@@ -259,8 +270,8 @@ pub(super) fn learning_curves(
         .collect()
 }
 
-/// RMS error of every joint over its moving rows.
-pub(super) fn errors(layout: &Layout, candidate: &Candidate, rows: &[&SampleRow]) -> SplitRecord {
+/// Errors of every joint over its moving rows.
+fn error_sums(layout: &Layout, candidate: &Candidate, rows: &[SampleRow]) -> PerJoint<ErrorSums> {
     let mut sums = no_sums(layout.joints());
     for row in rows {
         let predicted = candidate.torque(layout, row);
@@ -268,10 +279,7 @@ pub(super) fn errors(layout: &Layout, candidate: &Candidate, rows: &[&SampleRow]
             sums[joint].add(row.tau[joint], predicted[joint]);
         }
     }
-    SplitRecord {
-        rmse_moving_nm: sums.iter().map(ErrorSums::rmse).collect(),
-        nrmse_moving_ratio: sums.iter().map(ErrorSums::nrmse).collect(),
-    }
+    sums
 }
 
 /// Sums over no rows.
