@@ -50,7 +50,7 @@ pub(super) struct Arguments {
     methods: Vec<MethodName>,
     /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging,
     /// warm-up; or full for all
-    #[arg(long, default_value = "coulomb-viscous+offset+stribeck+load")]
+    #[arg(long, default_value_t)]
     columns: ColumnSet,
     /// Filter of the training logs; fourier folds a log that repeats into one period and projects it on the harmonics
     /// below the cut-offs. Validation logs always go through the zero-phase Butterworth filter.

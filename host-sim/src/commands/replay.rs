@@ -42,7 +42,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if !arguments.force {
         let logs: Vec<&Path> = arguments.logs.iter().map(PathBuf::as_path).collect();
         let prepare = PrepareConfig::for_rows(longest_period_s(&logs, &robot)?);
-        let judgement = judge(&robot, &arguments.logs, &ColumnSet::plain(), &prepare)?;
+        let judgement = judge(&robot, &arguments.logs, &ColumnSet::default(), &prepare)?;
         sound(&judgement, &arguments.logs, "--force replays all the same")?;
     }
     on_arm!(&robot, A, N, P => arguments.replay::<A, N, P>(&robot))

@@ -279,8 +279,9 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         .collect();
     let mean = |pick: &dyn Fn(&Scores<N>) -> Vec<Option<f64>>| {
         let ratios: Vec<f64> = scores.iter().flat_map(pick).flatten().collect();
-        geometric_mean(&ratios)
+        (!ratios.is_empty()).then(|| geometric_mean(&ratios))
     };
+    let plain = |pick| mean(pick).filter(|_| fitted);
     let report = ReplayReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         robot: robot.name.clone(),
@@ -296,8 +297,8 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         aged_10_s_vs_rich_wls_ratio: mean(&|s| s.aged.over(&s.rich_aged)),
         aged_10_s_after_other_paths_vs_rich_wls_ratio: after_others,
         frozen_vs_rich_wls_ratio: mean(&|s| s.frozen.over(&s.rich)),
-        plain_wls_vs_rich_wls_ratio: fitted.then(|| mean(&|s| s.plain.over(&s.rich))),
-        aged_10_s_vs_plain_wls_ratio: fitted.then(|| mean(&|s| s.aged.over(&s.plain_aged))),
+        plain_wls_vs_rich_wls_ratio: plain(&|s| s.plain.over(&s.rich)),
+        aged_10_s_vs_plain_wls_ratio: plain(&|s| s.aged.over(&s.plain_aged)),
         within_1_1_worst_s: within
             .iter()
             .copied()

@@ -58,15 +58,16 @@ pub struct ReplayReport {
     pub period_s: f64,
     /// The reference: batch least squares, or the description without friction where the logs show too little for it.
     pub reference: String,
-    /// Geometric means over joints and paths of error over the reference's, moving rows: newest, 10 s old, the start frozen.
-    pub newest_vs_rich_wls_ratio: f64,
-    /// See above. The first 10 s of the first log have no such parameters and are left out.
-    pub aged_10_s_vs_rich_wls_ratio: f64,
+    /// Error of the newest parameters over the reference's: geometric mean over joints and paths, moving rows; none if no
+    /// joint moves.
+    pub newest_vs_rich_wls_ratio: Option<f64>,
+    /// Ratio of parameters 10 s old. The first 10 s of the first log have none and are left out; none if it is shorter.
+    pub aged_10_s_vs_rich_wls_ratio: Option<f64>,
     /// Ratio of 10-s-old parameters for boards that have learnt all other paths before each path, as the reference has; none
     /// with a single path.
     pub aged_10_s_after_other_paths_vs_rich_wls_ratio: Option<f64>,
-    /// See above.
-    pub frozen_vs_rich_wls_ratio: f64,
+    /// Ratio of the start, frozen.
+    pub frozen_vs_rich_wls_ratio: Option<f64>,
     /// Plain batch least squares over the reference; none if that is the description.
     pub plain_wls_vs_rich_wls_ratio: Option<f64>,
     /// The aged parameters over plain batch least squares; none likewise.
@@ -81,9 +82,9 @@ pub struct ReplayReport {
     pub learned_clipped_ticks_count: u32,
     /// Largest feed-forward torque asked with 30 rad/s² on one joint after another, over the torque limit.
     pub torque_at_30_rad_s2_over_limit_ratio: f64,
-    /// Ticks, and rows learnt from.
+    /// Ticks.
     pub ticks_count: u32,
-    /// See above.
+    /// Rows learnt from.
     pub rows_accepted_count: u32,
     /// Path by path.
     pub paths: Vec<PathScores>,
@@ -100,15 +101,15 @@ pub(super) struct Predictions {
 pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
     let cards = [
         (
-            Some(report.aged_10_s_vs_rich_wls_ratio),
+            report.aged_10_s_vs_rich_wls_ratio,
             "parameters 10 s old, geometric mean of joints and paths",
         ),
-        (Some(report.newest_vs_rich_wls_ratio), "newest parameters"),
+        (report.newest_vs_rich_wls_ratio, "newest parameters"),
         (
             report.aged_10_s_after_other_paths_vs_rich_wls_ratio,
             "10 s old, all other paths learnt before",
         ),
-        (Some(report.frozen_vs_rich_wls_ratio), "start, frozen"),
+        (report.frozen_vs_rich_wls_ratio, "start, frozen"),
         (
             report.plain_wls_vs_rich_wls_ratio,
             "batch least squares, Coulomb and viscous friction only",

@@ -290,4 +290,11 @@ mod tests {
             assert!((last + gravity[joint].abs()).abs() < 1e-12, "joint {joint}");
         }
     }
+
+    #[test]
+    fn the_default_columns_read_back() {
+        let columns = ColumnSet::default();
+        assert_eq!(columns.to_string(), "coulomb-viscous+offset+stribeck+load");
+        assert_eq!(columns.to_string().parse::<ColumnSet>(), Ok(columns));
+    }
 }

@@ -99,6 +99,16 @@ impl FromStr for ColumnSet {
     }
 }
 
+impl Default for ColumnSet {
+    /// The columns that real arms need. Without load friction, torques of arms with much of it seem early.
+    fn default() -> Self {
+        let chosen = ["coulomb-viscous", "offset", "stribeck", "load"];
+        let sets = sets().into_iter();
+        let sets = sets.filter(|(name, _)| chosen.contains(name));
+        Self(sets.flat_map(|(_, terms)| terms).collect())
+    }
+}
+
 impl ColumnSet {
     /// Viscous and Coulomb friction.
     pub fn plain() -> Self {

@@ -11,6 +11,7 @@ pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
+use super::clock::GAP_PERIODS;
 use super::columns::Layout;
 use super::dataset::Thinned;
 use super::log::Roughness;
@@ -234,6 +235,11 @@ fn scan(
     let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
     rough.for_each(Roughness::pause);
     while let Some(row) = log.next_row()? {
+        // Over a gap an angle may have wrapped.
+        let before = last.last();
+        if before.is_some_and(|before| row.t_s - before.t_s > GAP_PERIODS * period_s) {
+            last.clear();
+        }
         for (joint, sums) in extremes.iter_mut().enumerate() {
             let (q, tau) = (row.q[joint], row.tau[joint]);
             let limit = robot.joints[joint].limits.torque;
