@@ -152,7 +152,7 @@ fn a_gap_splits_the_log_and_is_noted() {
     let content = text(here.join("whole.csv"));
     let mut rows: Vec<String> = content.lines().map(str::to_owned).collect();
     rows.drain(1500..1550);
-    // The first axis stands upright: where it turned to meanwhile changes no torque, and is no speed.
+    // The first axis is vertical, so its turn during the gap changes no torque; it is no velocity of the joint.
     for row in &mut rows[1500..] {
         let mut fields: Vec<&str> = row.split(',').collect();
         let turned = fields[1].parse::<f64>().expect("a position") - 3.0;

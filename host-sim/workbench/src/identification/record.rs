@@ -211,7 +211,7 @@ pub struct Report {
     pub condition_number_equilibrated: f64,
     /// The method whose parameters went into the bank: the one with the least error on the validation logs (mean of
     /// `joints_nrmse_moving_ratio`) of those the board can run. Without such logs, the most constrained one within a standard
-    /// error of the least on what the split held out.
+    /// error of the least mean error on the stretches that the split held out.
     pub recommended: String,
     /// Methods by name, with two rivals that are fitted to nothing: `description` and `zero` torque.
     pub methods: BTreeMap<String, MethodRecord>,

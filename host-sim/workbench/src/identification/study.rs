@@ -45,7 +45,12 @@ impl Study<'_> {
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
-        let mut splits = split(&self.problem, &self.rivals(), &self.dataset.sample.kept)?;
+        let mut splits = split(
+            &self.problem,
+            &self.results,
+            &self.rivals(),
+            &self.dataset.sample.kept,
+        )?;
         let of_rivals = splits.split_off(self.results.len());
         let described = description(self.problem.robot, layout);
         let mut methods = Methods::new();
@@ -217,9 +222,9 @@ impl Study<'_> {
 
 /// Place of the method for the bank, of those the board can run: the one with the least mean error on the validation logs.
 ///
-/// Without such logs, stretches of the training logs that were held out decide, and the standard error of their mean counts:
-/// of the methods within it of the least, the most constrained one is taken, the physically consistent parameters first
-/// [Hastie, Tibshirani, Friedman 2009, §7.10]. Another path shows what this one hides.
+/// Without such logs, the stretches of the training logs that were held out decide. Differences within the standard error
+/// of the least mean error do not count: of these methods the most constrained one is taken, the physically consistent
+/// parameters first [Hastie, Tibshirani, Friedman 2009, §7.10].
 pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize {
     let record = |place: usize| &methods[&results[place].name.to_string()];
     let on_board = |place: &usize| !matches!(results[*place].candidate, Candidate::BlackBox(_));
@@ -242,7 +247,7 @@ pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize 
     let mut constrained = constrained
         .iter()
         .filter_map(|name| places().find(|&place| results[place].name == *name));
-    // Without two stretches there is no bound, and nothing speaks against the first.
+    // Fewer than two stretches give no standard error; then the most constrained method is taken.
     constrained
         .find(|&place| bound.is_nan() || mean(place) <= bound)
         .unwrap_or(best)
@@ -339,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn constrained_parameters_are_taken_unless_held_out_stretches_speak_against_them() {
+    fn constrained_parameters_are_taken_unless_they_are_clearly_worse_on_held_out_stretches() {
         use MethodName::{Consistent, Evidence, Ols, Wls};
         // Errors that scatter by more than the methods differ.
         let ols = [0.95, 1.07, 0.77, 0.75, 1.76];
@@ -348,7 +353,7 @@ mod tests {
             chosen(&[(Ols, ols, None), (Consistent, consistent, None)]),
             Consistent
         );
-        // The description has another mechanism than the arm.
+        // Consistent parameters that are clearly worse.
         let (wls, evidence) = (
             [0.59, 0.32, 0.36, 0.33, 0.44],
             [0.61, 0.33, 0.38, 0.36, 0.43],
@@ -359,7 +364,7 @@ mod tests {
             (Evidence, evidence, None),
         ];
         assert_eq!(chosen(&all), Evidence);
-        // Unseen logs have the last word.
+        // An unseen log decides alone.
         let unseen = [
             (Wls, wls, Some(0.2)),
             (Consistent, wls, Some(0.3)),

@@ -226,8 +226,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
 /// Update the usual variance with the `residual` of one block; `blocks` is the number of blocks behind it.
 ///
-/// A block counts as far as change detection counts it, up to `clip` deviations: errors of a model come in bursts, and a
-/// lower bound would take each burst for a change.
+/// A residual counts up to `clip` standard deviations, the bound of change detection. With a lower bound, model errors that
+/// return in bursts would never raise the variance, and each burst would raise an alarm.
 fn update_block_variance(usual: &mut f32, blocks: &mut u32, residual: f32, clip: f32) {
     *blocks += u32::from(*blocks < BLOCK_MEMORY);
     let (square, most) = (residual * residual, clip * clip * *usual);
