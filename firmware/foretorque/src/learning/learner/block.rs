@@ -132,16 +132,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             Phase::PayloadTest => {
                 let payload = &supervisor.payload;
                 let test = &mut supervisor.payload_test;
-                test.add_row(payload, &row, tau, sigma, inflated);
+                test.add_row(joint, payload, &row, tau, sigma, inflated);
             }
             Phase::Healthy => {
                 let residual = (tau - payload_torque(&supervisor.payload, &row)) / unit;
-                // Errors of the estimate last for the window of the test.
-                let lasting = (innovation - measured).max(0.0) * config.window_blocks as f32;
+                let lasting = (innovation - measured).max(0.0) * config.lasting_blocks as f32;
                 let payload = &supervisor.payload;
                 let test = &mut supervisor.payload_test;
                 let deviation = unit * sqrt(noise + lasting);
-                test.add_row(payload, &row, tau, sigma, deviation);
+                test.add_row(joint, payload, &row, tau, sigma, deviation);
                 let expected = *usual + innovation - measured;
                 update_block_variance(usual, blocks, residual, config.detector.clip);
                 if supervisor.updates_payload(config) {
@@ -193,16 +192,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         for ((square, _), measured) in joints.zip(self.state.estimate.variance()) {
             usual += square / (AVERAGED as f32 * measured * N as f32);
         }
-        let carries_payload = supervisor.carries_payload();
+        let carries_payload = supervisor.carries_payload;
         let single = self.only_joint.is_some();
         let test = &mut supervisor.payload_test;
         let decision = test.decide(config, carries_payload, single, usual);
         if phase == Phase::Healthy {
-            let window = match test.is_undecided() {
-                true => config.timeout_blocks,
-                false => config.window_blocks,
-            };
-            let is_over = test.blocks() >= window;
+            let is_over = test.is_over(config);
             if supervisor.updates_payload(config) {
                 supervisor.payload = supervisor.payload_filter.payload();
                 supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
@@ -213,7 +208,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             if !decision.is_some_and(PayloadDecision::is_change) {
                 if is_over {
                     let test = &mut supervisor.payload_test;
-                    test.restart(config, &supervisor.payload);
+                    test.next_window(config, &supervisor.payload);
+                    supervisor.keep_checkpoint();
                 }
                 return;
             }

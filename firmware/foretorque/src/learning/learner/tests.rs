@@ -311,7 +311,7 @@ fn a_network_that_costs_is_silenced_under_a_payload_too() {
     let mut learner = learner();
     learn_ticks(&mut learner, 0..90, true);
     let supervisor = &mut learner.state.supervisor;
-    supervisor.before_payload = Some(supervisor.checkpoints[1]);
+    supervisor.carries_payload = true;
     // The payload is no longer updated.
     supervisor.blocks_carried = learner.config.supervisor.payload_update_blocks;
     supervisor.learnt.share.joint = [1.0; N];

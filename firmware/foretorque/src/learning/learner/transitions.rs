@@ -11,7 +11,7 @@ use crate::learning::exchange::{LearningSample, Request};
 use crate::learning::payload::{NO_PAYLOAD, payload_base, payload_estimate};
 use crate::learning::quality::{PayloadEstimate, Phase};
 use crate::learning::supervisor::Checkpoint;
-use crate::learning::supervisor::payload_test::{PayloadDecision, PayloadHypothesisTest};
+use crate::learning::supervisor::payload_test::PayloadDecision;
 use crate::learning::supervisor::step::{Action, Evidence, step};
 use crate::limits::Flags;
 
@@ -80,28 +80,28 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 return;
             }
             Action::TestPayload => {
-                let [_, older] = state.supervisor.checkpoints;
-                state.restore(&older);
+                state.restore();
                 let supervisor = &mut state.supervisor;
-                supervisor.payload = older.payload;
-                supervisor.payload_base = payload_base::<A, N, P>(&older.payload);
-                supervisor.payload_test =
-                    PayloadHypothesisTest::new(&self.config.supervisor, &older.payload);
+                supervisor.payload = supervisor.checkpoints[1].payload;
+                supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
+                supervisor.keep_checkpoint();
+                let test = &mut supervisor.payload_test;
+                test.restart(&self.config.supervisor, &supervisor.payload);
                 return;
             }
-            Action::Restore => {
-                let [_, older] = state.supervisor.checkpoints;
-                state.restore(&older);
-            }
+            Action::Restore => state.restore(),
             Action::Promote => {
-                let [_, before] = state.supervisor.checkpoints;
-                state.restore(&before);
+                let supervisor = &mut state.supervisor;
+                if !supervisor.carries_payload {
+                    supervisor.checkpoints[1] = supervisor.before_payload;
+                }
+                state.restore();
                 let supervisor = &mut state.supervisor;
                 supervisor.payload_filter = *supervisor.payload_test.filter();
                 supervisor.payload = supervisor.payload_filter.payload();
                 supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
                 supervisor.blocks_carried = 0;
-                supervisor.before_payload = supervisor.before_payload.or(Some(before));
+                supervisor.carries_payload = true;
             }
             Action::Release => state.release_payload(),
             Action::Relearn => {
@@ -128,8 +128,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
         }
         let supervisor = &mut state.supervisor;
-        supervisor.payload_test =
-            PayloadHypothesisTest::new(&self.config.supervisor, &supervisor.payload);
+        let test = &mut supervisor.payload_test;
+        test.restart(&self.config.supervisor, &supervisor.payload);
         state.resume_detection();
     }
 
@@ -179,7 +179,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 ticks: N as u32,
                 share: learnt.common(&shares),
                 reversed: known && learnt.is_reversed(),
-                carries_payload: supervisor.carries_payload(),
+                carries_payload: supervisor.carries_payload,
             };
             self.decide_on(tick, None, evidence);
         }
@@ -240,8 +240,10 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         active.write(&mut self.active);
     }
 
-    /// Return estimate, learnt set and shares to `checkpoint`, bit for bit.
-    fn restore(&mut self, checkpoint: &Checkpoint<N, P>) {
+    /// Return estimate, learnt set and shares to the older checkpoint, bit for bit.
+    #[inline(never)]
+    fn restore(&mut self) {
+        let [_, checkpoint] = &self.supervisor.checkpoints;
         self.estimate.move_to(&checkpoint.estimate);
         self.supervisor.learnt = checkpoint.learnt;
         self.restored = true;
@@ -249,15 +251,18 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         self.supervisor.reset_blocks();
     }
 
-    /// Restart change detection, with both checkpoints at the present parameters.
+    /// Restart change detection, with all checkpoints at the present parameters.
     fn resume_detection(&mut self) {
         self.supervisor.detector = ChangeDetector::new();
         self.supervisor.reset_blocks();
+        // Twice: the older checkpoint, too.
         self.take_checkpoint();
-        self.supervisor.checkpoints[1] = self.supervisor.checkpoints[0];
+        self.take_checkpoint();
+        self.supervisor.keep_checkpoint();
     }
 
     /// Replace the older checkpoint by the newer one, and that by the present parameters.
+    #[inline(never)]
     fn take_checkpoint(&mut self) {
         let now = Checkpoint {
             estimate: *self.estimate.parameters(),
@@ -275,18 +280,16 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let supervisor = &mut self.supervisor;
         supervisor.payload = NO_PAYLOAD;
         supervisor.payload_base.fill(0.0);
-        let Some(before) = supervisor.before_payload.take() else {
+        if !core::mem::take(&mut supervisor.carries_payload) {
             return;
-        };
-        let (mut estimate, mut learnt) = (before.estimate, before.learnt);
-        estimate.friction = self.estimate.parameters().friction;
-        learnt.set.friction = supervisor.learnt.set.friction;
+        }
+        let before = &mut supervisor.before_payload;
+        before.estimate.friction = self.estimate.parameters().friction;
+        before.learnt.set.friction = supervisor.learnt.set.friction;
         // A set committed on request contains part of the payload.
-        self.commit_due |= learnt.set.rigid != supervisor.learnt.set.rigid;
-        supervisor.learnt = learnt;
-        self.restored = true;
-        self.estimate.move_to(&estimate);
-        self.blend();
+        self.commit_due |= before.learnt.set.rigid != supervisor.learnt.set.rigid;
+        supervisor.checkpoints[1] = *before;
+        self.restore();
     }
 
     /// Raise the variance of one friction parameter a round, after a change that is no payload.
@@ -303,7 +306,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     fn update_quality(&mut self, config: &LearnerConfig<N, P>, tick: u32) {
         let supervisor = &self.supervisor;
         let quality = &mut self.report.quality;
-        quality.payload = if supervisor.carries_payload() {
+        quality.payload = if supervisor.carries_payload {
             payload_estimate(&supervisor.payload, supervisor.payload_filter.mass_sigma())
         } else {
             PayloadEstimate::default()

@@ -21,13 +21,13 @@ pub struct SupervisorConfig {
     /// Least evidence for a change of the payload, twice a log-likelihood ratio: χ² of seven degrees of freedom exceeds it
     /// with probability 1e-10.
     pub payload_evidence: f32,
-    /// Window of the payload test without an alarm, blocks: 1.5 s, in which errors of the estimate count as constant.
-    pub window_blocks: u32,
+    /// Blocks for which errors of the estimate count as constant: 1.5 s.
+    pub lasting_blocks: u32,
     /// Mean square residual that counts as fully explained, in variances of a measurement.
     pub quiet_level: f32,
     /// Consecutive blocks for which a condition of the payload test has to hold.
     pub decision_blocks: u32,
-    /// Length of a payload test without decision, blocks; then the hypothesis is refused.
+    /// Longest window of the payload test, blocks; after an alarm, the hypothesis is refused then.
     pub timeout_blocks: u32,
     /// Blocks after promotion for which the payload filter runs on.
     pub payload_update_blocks: u32,
@@ -78,7 +78,7 @@ impl SupervisorConfig {
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.03 * rated,
             payload_evidence: 60.0,
-            window_blocks: 150,
+            lasting_blocks: 150,
             quiet_level: 0.5,
             decision_blocks: 5,
             timeout_blocks: 300,
@@ -118,7 +118,7 @@ impl SupervisorConfig {
             ("supervisor.max_com_distance", self.max_com_distance),
             ("supervisor.max_mass_sigma", self.max_mass_sigma),
             ("supervisor.payload_evidence", self.payload_evidence),
-            ("supervisor.window_blocks", self.window_blocks as f32),
+            ("supervisor.lasting_blocks", self.lasting_blocks as f32),
             ("supervisor.quiet_level", self.quiet_level),
             ("supervisor.share_memory_s", self.share_memory_s),
             ("supervisor.trust_floor", self.trust_floor),

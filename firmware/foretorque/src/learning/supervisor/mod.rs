@@ -57,11 +57,13 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     /// Payload filter after promotion.
     pub(super) payload_filter: PayloadFilter,
     pub(super) blocks_carried: u32,
-    pub(super) payload_test: PayloadHypothesisTest,
+    pub(super) payload_test: PayloadHypothesisTest<N>,
     /// Usual mean square of each joint's blocks, in units of the configured noise, and the number of blocks behind it.
     pub(super) block_variance: [(f32, u32); N],
-    /// Checkpoint of before the payload in the torque.
-    pub(super) before_payload: Option<Checkpoint<N, P>>,
+    /// True with a payload in the torque.
+    pub(super) carries_payload: bool,
+    /// Checkpoint of before the payload in the torque; without one, of before the window of the payload test.
+    pub(super) before_payload: Checkpoint<N, P>,
     /// Newer and older checkpoint; an alarm returns to the older one, because it comes after the change.
     pub(super) checkpoints: [Checkpoint<N, P>; 2],
     /// Set of the last load: the rival of the learnt one.
@@ -95,7 +97,8 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             blocks_carried: 0,
             payload_test: PayloadHypothesisTest::new(config, &NO_PAYLOAD),
             block_variance: [(1.0, 0); N],
-            before_payload: None,
+            carries_payload: false,
+            before_payload: checkpoint,
             checkpoints: [checkpoint; 2],
             loaded: zero,
             learnt: Learnt::new(&zero),
@@ -109,15 +112,19 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         *self = Self::new(config);
         self.loaded = *set;
         self.learnt.set = *set;
-        for checkpoint in &mut self.checkpoints {
+        let before = [&mut self.before_payload];
+        for checkpoint in self.checkpoints.iter_mut().chain(before) {
             checkpoint.estimate = *set;
             checkpoint.learnt.set = *set;
         }
     }
 
-    /// True with a payload in the torque.
-    pub(super) fn carries_payload(&self) -> bool {
-        self.before_payload.is_some()
+    /// Make the older checkpoint that of before a payload, unless there is one in the torque.
+    #[inline(never)]
+    pub(super) fn keep_checkpoint(&mut self) {
+        if !self.carries_payload {
+            self.before_payload = self.checkpoints[1];
+        }
     }
 
     /// True if the residual of the active set may train the network of `joint`.
@@ -130,7 +137,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
 
     /// True if the payload in the torque is still updated.
     pub(super) fn updates_payload(&self, config: &SupervisorConfig) -> bool {
-        self.carries_payload() && self.blocks_carried < config.payload_update_blocks
+        self.carries_payload && self.blocks_carried < config.payload_update_blocks
     }
 
     /// True if the estimate pauses under a payload, or with evidence for one.
@@ -138,7 +145,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
     /// A release restores the parameters of before the payload. Rows learnt meanwhile would be lost, but the covariance
     /// would keep their information.
     pub(super) fn pauses_estimate(&self, config: &SupervisorConfig) -> bool {
-        self.carries_payload() && self.blocks_carried < config.pause_blocks
+        self.carries_payload && self.blocks_carried < config.pause_blocks
             || self.payload_test.is_undecided()
     }
 
@@ -174,6 +181,7 @@ mod tests {
             ("learnt", supervisor.learnt.set),
             ("newer", newer.learnt.set),
             ("older", older.learnt.set),
+            ("before", supervisor.before_payload.learnt.set),
             ("estimate", older.estimate),
         ] {
             assert!(of == set, "{name}");
@@ -194,7 +202,7 @@ mod tests {
                 row[k % body.len()] = 10.0;
                 let tau = payload_torque(&body, &row);
                 let test = &mut supervisor.payload_test;
-                test.add_row(&NO_PAYLOAD, &row, tau, 0.1, 20.0);
+                test.add_row(k % 2, &NO_PAYLOAD, &row, tau, 0.1, 20.0);
             }
             let decision = supervisor.payload_test.decide(&config, false, false, 0.0);
             paused += u32::from(supervisor.pauses_estimate(&config));

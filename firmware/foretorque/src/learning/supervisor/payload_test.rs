@@ -44,18 +44,22 @@ const UNEXPLAINED: f32 = 0.5;
 /// Least evidence for an empty hand: a likelihood ratio without free parameters exceeds 1/p with probability p at most
 /// [Ville 1939], and p is that of [`SupervisorConfig::payload_evidence`].
 const EMPTY_EVIDENCE: f32 = 45.0;
+/// Least evidence for a body without that of the joint with the most: a body loads several joints, an error of one joint's
+/// friction does not. χ² of seven degrees of freedom exceeds it with probability 0.006.
+const EVIDENCE_OF_OTHERS: f32 = 20.0;
 /// Part of the evidence for a body that an empty hand must have for a release.
 const EMPTY_PART: f32 = 0.8;
 
 /// Test of a payload hypothesis. Squares are in variances of a measurement and fade with each block.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct PayloadHypothesisTest {
+pub(crate) struct PayloadHypothesisTest<const N: usize> {
     filter: PayloadFilter,
     blocks: u32,
     /// The hypothesis is a body with enough evidence, whose mass is not certain enough yet.
     undecided: bool,
-    /// Evidence for the hypothesis and for an empty hand, each over the payload in the torque: twice a log-likelihood ratio.
-    evidence: f32,
+    /// Evidence for the hypothesis by joint and for an empty hand, each over the payload in the torque: twice a log-likelihood
+    /// ratio.
+    evidence: [f32; N],
     empty_evidence: f32,
     /// Likewise for an empty hand since some block before, whichever is the most: a CUSUM, kept from window to window.
     empty_cusum: f32,
@@ -70,14 +74,14 @@ pub(crate) struct PayloadHypothesisTest {
     quiet_blocks: u32,
 }
 
-impl PayloadHypothesisTest {
+impl<const N: usize> PayloadHypothesisTest<N> {
     /// Test without blocks, with the hypothesis at `payload`.
     pub(crate) const fn new(config: &SupervisorConfig, payload: &Payload) -> Self {
         Self {
             filter: PayloadFilter::new(payload, &payload_sigma(config.max_payload_mass)),
             blocks: 0,
             undecided: false,
-            evidence: 0.0,
+            evidence: [0.0; N],
             empty_evidence: 0.0,
             empty_cusum: 0.0,
             rows: 0.0,
@@ -90,21 +94,27 @@ impl PayloadHypothesisTest {
         }
     }
 
-    /// Start the next window, with the hypothesis at `payload`.
+    /// Start anew, with the hypothesis at `payload`.
+    #[inline(never)]
     pub(crate) fn restart(&mut self, config: &SupervisorConfig, payload: &Payload) {
-        *self = Self {
-            empty_cusum: self.empty_cusum,
-            ..Self::new(config, payload)
-        };
+        *self = Self::new(config, payload);
     }
 
-    /// Add the residual torque `tau` of one joint without payload, N·m, with its payload row.
+    /// Start the next window, with the hypothesis at `payload`.
+    pub(crate) fn next_window(&mut self, config: &SupervisorConfig, payload: &Payload) {
+        let cusum = self.empty_cusum;
+        self.restart(config, payload);
+        self.empty_cusum = cusum;
+    }
+
+    /// Add the residual torque `tau` of `joint` without payload, N·m, with its payload row.
     ///
     /// * `payload` payload in the torque      * `sigma` standard deviation of a measurement, N·m
     /// * `inflated` standard deviation of a block for the payload filter, N·m
     #[inline(never)]
     pub(crate) fn add_row(
         &mut self,
+        joint: usize,
         payload: &Payload,
         row: &Payload,
         tau: f32,
@@ -127,7 +137,10 @@ impl PayloadHypothesisTest {
         self.empty += square(tau);
         self.empty_evidence += empty;
         self.empty_cusum += empty;
-        self.evidence += before - self.filter.update(row, tau, inflated);
+        let body = before - self.filter.update(row, tau, inflated);
+        if let Some(evidence) = self.evidence.get_mut(joint) {
+            *evidence += body;
+        }
     }
 
     /// Decision after the last joint of a block, if there is one.
@@ -151,13 +164,14 @@ impl PayloadHypothesisTest {
         let [current, hypothesis] = [self.current, self.hypothesis].map(|sum| sum * inverse);
         let quiet = config.quiet_level + USUAL_FACTOR * usual;
         let rejection = self.rejection(config, quiet, current, hypothesis);
-        self.undecided = matches!(rejection, Some((Reason::Uncertain, _)))
-            && self.evidence > config.payload_evidence;
+        let (evidence, _) = self.evidence();
+        self.undecided =
+            matches!(rejection, Some((Reason::Uncertain, _))) && evidence > config.payload_evidence;
         self.empty_cusum = self.empty_cusum.max(0.0);
         let body = !matches!(rejection, Some((Reason::Implausible, _)));
         let gone = carries_payload
             && self.empty_cusum > EMPTY_EVIDENCE
-            && (!body || self.empty_evidence > EMPTY_PART * self.evidence);
+            && (!body || self.empty_evidence > EMPTY_PART * evidence);
         let count = |counter: &mut u32, holds: bool, enough: bool| {
             *counter = if holds && enough { *counter + 1 } else { 0 };
             *counter >= config.decision_blocks
@@ -200,7 +214,9 @@ impl PayloadHypothesisTest {
         let payload = payload_estimate(&self.filter.payload(), mass_sigma);
         let plausible = payload.mass > 0.0 && config.is_body(&self.filter.payload());
         // In a window in which a payload is let go, the best body is half of it: the last rows show the empty hand.
-        let explained = self.evidence > config.payload_evidence
+        let (evidence, most) = self.evidence();
+        let explained = evidence > config.payload_evidence
+            && evidence - most > EVIDENCE_OF_OTHERS
             && hypothesis <= quiet + REMAINDER * current
             && self.hypothesis < self.empty;
         if !plausible {
@@ -212,6 +228,23 @@ impl PayloadHypothesisTest {
         } else {
             None
         }
+    }
+
+    /// Evidence for the hypothesis, and that of the joint with the most.
+    #[inline(never)]
+    fn evidence(&self) -> (f32, f32) {
+        self.evidence
+            .iter()
+            .fold((0.0, 0.0), |(sum, most), &joint| {
+                (sum + joint, if joint > most { joint } else { most })
+            })
+    }
+
+    /// True if the window is over: its evidence is not on the way to that of a promotion before the timeout.
+    pub(crate) fn is_over(&self, config: &SupervisorConfig) -> bool {
+        let (evidence, _) = self.evidence();
+        let part = self.blocks as f32 / config.timeout_blocks as f32;
+        self.blocks >= config.timeout_blocks || evidence < part * config.payload_evidence
     }
 
     /// Payload filter of the hypothesis.

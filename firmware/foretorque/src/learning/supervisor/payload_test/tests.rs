@@ -7,21 +7,20 @@ fn config() -> SupervisorConfig {
 }
 
 /// Decision after blocks of a payload `carried`, N·m a unit, under which the arm feels `felt`; one row of every
-/// parameter a block, and two in the directions of the mass.
+/// parameter a block, and two in the directions of the mass, on two joints in turn.
 fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
-    let (block, decision, _) = decided_at(carried, felt, noise, 0.1);
+    let (block, decision, _) = decided_at::<2>(carried, felt, (noise, 0.1));
     (block, decision)
 }
 
-/// Likewise for rows of the deviation `inflated`, N·m; with the standard deviation of the mass then, kg.
-fn decided_at(
+/// Likewise on `JOINTS` joints, for rows of the deviation `inflated`, N·m; with the standard deviation of the mass then, kg.
+fn decided_at<const JOINTS: usize>(
     carried: &Payload,
     felt: &Payload,
-    noise: f32,
-    inflated: f32,
+    (noise, inflated): (f32, f32),
 ) -> (u32, PayloadDecision, f32) {
     let config = config();
-    let mut test = PayloadHypothesisTest::new(&config, carried);
+    let mut test = PayloadHypothesisTest::<JOINTS>::new(&config, carried);
     for block in 1.. {
         for k in 0..PAYLOAD_PARAMETERS + 2 {
             let mut row = NO_PAYLOAD;
@@ -32,7 +31,7 @@ fn decided_at(
                 -1.0
             };
             let tau = payload_torque(felt, &row) + sign * noise;
-            test.add_row(carried, &row, tau, 0.1, inflated);
+            test.add_row(k % JOINTS, carried, &row, tau, 0.1, inflated);
         }
         let carries = *carried != NO_PAYLOAD;
         if let Some(decision) = test.decide(&config, carries, false, 0.0) {
@@ -101,7 +100,7 @@ fn every_disturbance_has_its_decision() {
     );
     assert_eq!(block, late);
     // Evidence comes before a mass that is certain enough.
-    let (block, decision, sigma) = decided_at(&NO_PAYLOAD, &two, 0.03, 20.0);
+    let (block, decision, sigma) = decided_at::<2>(&NO_PAYLOAD, &two, (0.03, 20.0));
     assert_eq!(decision, PayloadDecision::Promote);
     assert!(
         block > 60 && sigma < config.max_mass_sigma,
@@ -109,18 +108,32 @@ fn every_disturbance_has_its_decision() {
     );
 }
 
+#[test]
+fn a_body_that_one_joint_alone_shows_is_none() {
+    let mut body = NO_PAYLOAD;
+    body[0] = 2.0;
+    let (_, of_two, _) = decided_at::<2>(&NO_PAYLOAD, &body, (0.03, 0.1));
+    assert_eq!(of_two, PayloadDecision::Promote);
+    let (_, of_one, _) = decided_at::<1>(&NO_PAYLOAD, &body, (0.03, 0.1));
+    assert!(
+        matches!(of_one, PayloadDecision::Refuse(Reason::Residual, _)),
+        "{of_one:?}"
+    );
+}
+
 /// Background test with the payload `felt` by block where `carried` is in the torque: decisions with their blocks until the
-/// payload changes, in `windows` windows; torques of `height` times the noise of one standard deviation.
+/// payload changes, and the mass of the last hypothesis, kg; `blocks` blocks, with torques of `height` times the noise of one
+/// standard deviation.
 fn background(
     carried: &Payload,
     felt: impl Fn(u32) -> Payload,
-    (height, windows): (f32, u32),
-) -> std::vec::Vec<(u32, PayloadDecision)> {
+    (height, blocks): (f32, u32),
+) -> (std::vec::Vec<(u32, PayloadDecision)>, f32) {
     let config = config();
-    let mut test = PayloadHypothesisTest::new(&config, carried);
+    let mut test = PayloadHypothesisTest::<2>::new(&config, carried);
     let mut random = 1u64;
     let mut decisions = std::vec::Vec::new();
-    for block in 1..windows * config.window_blocks {
+    for block in 1..blocks {
         for k in 0..PAYLOAD_PARAMETERS + 2 {
             let mut row = NO_PAYLOAD;
             row[k % PAYLOAD_PARAMETERS] = height;
@@ -130,37 +143,39 @@ fn background(
             // Uniform, of variance 1.
             let noise = 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0);
             let tau = payload_torque(&felt(block), &row) + 0.1 * noise;
-            test.add_row(carried, &row, tau, 0.1, 0.1);
+            test.add_row(k % 2, carried, &row, tau, 0.1, 0.1);
         }
         let decision = test.decide(&config, *carried != NO_PAYLOAD, false, 1.0);
         decisions.extend(decision.map(|decision| (block, decision)));
         if decision.is_some_and(PayloadDecision::is_change) {
             break;
         }
-        if test.blocks() >= config.window_blocks {
-            test.restart(&config, carried);
+        if test.is_over(&config) {
+            test.next_window(&config, carried);
         }
     }
-    decisions
+    (decisions, test.filter.payload()[0])
 }
 
 /// The change of the payload in such a test.
 fn found(carried: &Payload, felt: &Payload, how: (f32, u32)) -> Option<(u32, PayloadDecision)> {
-    let mut decisions = background(carried, |_| *felt, how).into_iter();
-    decisions.find(|(_, decision)| decision.is_change())
+    let (decisions, _) = background(carried, |_| *felt, how);
+    decisions
+        .into_iter()
+        .find(|(_, decision)| decision.is_change())
 }
 
 #[test]
 fn a_payload_below_the_noise_is_found_in_the_background_and_noise_is_none() {
     let mut light = NO_PAYLOAD;
     light[0] = 0.3;
-    assert_eq!(found(&NO_PAYLOAD, &NO_PAYLOAD, (0.3, 1)), None);
-    assert_eq!(found(&light, &light, (0.3, 1)), None);
+    assert_eq!(found(&NO_PAYLOAD, &NO_PAYLOAD, (0.3, 150)), None);
+    assert_eq!(found(&light, &light, (0.3, 150)), None);
     for (carried, felt, wanted) in [
         (NO_PAYLOAD, light, PayloadDecision::Promote),
         (light, NO_PAYLOAD, PayloadDecision::Release),
     ] {
-        let (block, decision) = found(&carried, &felt, (0.3, 1)).expect("a change");
+        let (block, decision) = found(&carried, &felt, (0.3, 150)).expect("a change");
         assert!(decision == wanted && block > 20, "{block}: {decision:?}");
     }
 }
@@ -169,11 +184,11 @@ fn a_payload_below_the_noise_is_found_in_the_background_and_noise_is_none() {
 fn a_release_is_found_though_no_window_alone_shows_it() {
     let mut light = NO_PAYLOAD;
     light[0] = 0.3;
-    let window = config().window_blocks;
-    let (block, decision) = found(&light, &NO_PAYLOAD, (0.08, 20)).expect("a change");
+    let window = config().timeout_blocks;
+    let (block, decision) = found(&light, &NO_PAYLOAD, (0.08, 3000)).expect("a change");
     assert!(decision == PayloadDecision::Release, "{decision:?}");
     assert!(block > window, "{block}");
-    assert_eq!(found(&light, &light, (0.08, 20)), None);
+    assert_eq!(found(&light, &light, (0.08, 3000)), None);
 }
 
 #[test]
@@ -183,7 +198,7 @@ fn a_payload_let_go_within_a_window_is_not_half_a_payload() {
     for height in [0.1, 0.2, 0.3] {
         for last in [40, 80, 120] {
             let felt = |block| if block > last { NO_PAYLOAD } else { body };
-            let decisions = background(&body, felt, (height, 2));
+            let (decisions, _) = background(&body, felt, (height, 300));
             let (block, decision) = *decisions.last().expect("a change");
             assert_eq!(decision, PayloadDecision::Release, "{height} {block}");
             assert!(block > last, "{block}");
@@ -196,11 +211,31 @@ fn what_a_body_explains_is_no_transient_though_it_is_quiet() {
     let mut light = NO_PAYLOAD;
     light[0] = 0.3;
     for (felt, transient) in [(NO_PAYLOAD, true), (light, false)] {
-        let decisions = background(&NO_PAYLOAD, |_| felt, (1.0, 1));
+        let (decisions, _) = background(&NO_PAYLOAD, |_| felt, (1.0, 150));
         let over = decisions
             .iter()
             .find(|(_, decision)| *decision == PayloadDecision::Transient);
         assert_eq!(over.is_some(), transient, "{decisions:?}");
         assert!(over.is_none_or(|(block, _)| *block < 10), "{decisions:?}");
+    }
+}
+
+/// Windows without evidence are short: few rows from before a body is picked up delay it, or make it lighter.
+#[test]
+fn a_body_is_found_soon_and_nearly_whole_whenever_it_is_picked_up() {
+    let mut body = NO_PAYLOAD;
+    body[0] = 1.0;
+    for (height, soon, whole) in [(0.05, 250, 0.95), (0.2, 50, 0.75)] {
+        let mut sum = 0.0;
+        let picks = (0..300).step_by(30);
+        for first in picks.clone() {
+            let felt = |block| if block < first { NO_PAYLOAD } else { body };
+            let (decisions, mass) = background(&NO_PAYLOAD, felt, (height, first + soon));
+            let last = decisions.last().map(|(_, decision)| *decision);
+            assert_eq!(last, Some(PayloadDecision::Promote), "{height} {first}");
+            sum += mass;
+        }
+        let mean = sum / picks.count() as f32;
+        assert!(mean > whole, "{height}: {mean} kg");
     }
 }
