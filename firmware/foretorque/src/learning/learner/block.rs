@@ -97,12 +97,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let config = &self.config.supervisor;
         let phase = self.state.phase();
         // The estimate pauses meanwhile, so the tick has time for the prediction variance.
-        let friction_variance =
-            if phase == Phase::PayloadTest || self.state.supervisor.updates_payload(config) {
-                self.friction_prediction_variance(joint, block, &pose.load)
-            } else {
-                0.0
-            };
+        let updates = self.state.supervisor.updates_payload(config);
+        let friction_variance = if phase == Phase::PayloadTest || updates {
+            self.friction_prediction_variance(joint, block, &pose.load)
+        } else {
+            0.0
+        };
         let state = &mut self.state;
         let (Some(true), Some(&tau), Some(limits), Some(&measured), Some(&innovation)) = (
             block.moving.get(joint),
@@ -143,7 +143,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 test.add_row(joint, payload, &row, tau, sigma, deviation);
                 let expected = *usual + innovation - measured;
                 update_block_variance(usual, blocks, residual, config.detector.clip);
-                if supervisor.updates_payload(config) {
+                if updates {
                     supervisor.payload_filter.update(&row, tau, inflated);
                 }
                 let z = residual / sqrt(expected);

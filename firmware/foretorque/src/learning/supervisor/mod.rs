@@ -135,9 +135,13 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         settled && !self.state.reversed && self.state.phase == Phase::Healthy
     }
 
-    /// True if the payload in the torque is still updated.
+    /// True if the payload in the torque is still updated: not with evidence for an empty hand, which would make it half a
+    /// payload that is hard to tell from none.
+    #[inline(never)]
     pub(super) fn updates_payload(&self, config: &SupervisorConfig) -> bool {
-        self.carries_payload && self.blocks_carried < config.payload_update_blocks
+        self.carries_payload
+            && self.blocks_carried < config.payload_update_blocks
+            && !self.payload_test.may_be_empty()
     }
 
     /// True if the estimate pauses under a payload, or with evidence for one.
@@ -215,6 +219,28 @@ mod tests {
         );
         supervisor.restart(&config, &LinearParameters::filled(0.0));
         assert!(!supervisor.pauses_estimate(&config));
+    }
+
+    #[test]
+    fn a_payload_is_not_updated_while_the_hand_may_be_empty() {
+        let config = config();
+        let mut supervisor = Tested::new(&config);
+        let mut body = NO_PAYLOAD;
+        body[0] = 2.0;
+        supervisor.carries_payload = true;
+        for (felt, updates) in [(body, true), (NO_PAYLOAD, false)] {
+            for k in 0..2 * body.len() {
+                let mut row = NO_PAYLOAD;
+                row[k % body.len()] = 10.0;
+                let tau = payload_torque(&felt, &row);
+                let test = &mut supervisor.payload_test;
+                test.add_row(k % 2, &body, &row, tau, 1.0, 1.0);
+            }
+            supervisor.payload_test.decide(&config, true, false, 0.0);
+            assert_eq!(supervisor.updates_payload(&config), updates, "{felt:?}");
+        }
+        supervisor.carries_payload = false;
+        assert!(!supervisor.updates_payload(&config));
     }
 
     #[test]

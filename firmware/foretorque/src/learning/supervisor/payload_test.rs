@@ -3,7 +3,7 @@
 use super::config::SupervisorConfig;
 use crate::learning::decision::Reason;
 use crate::learning::payload::{
-    Payload, PayloadFilter, payload_estimate, payload_sigma, payload_torque,
+    PAYLOAD_PARAMETERS, Payload, PayloadFilter, payload_estimate, payload_sigma, payload_torque,
 };
 
 /// Result of a payload test.
@@ -47,7 +47,9 @@ const EMPTY_EVIDENCE: f32 = 45.0;
 /// Least evidence for a body without that of the joint with the most: a body loads several joints, an error of one joint's
 /// friction does not. χ² of seven degrees of freedom exceeds it with probability 0.006.
 const EVIDENCE_OF_OTHERS: f32 = 20.0;
-/// Part of the evidence for a body that an empty hand must have for a release.
+/// Evidence that the parameters of a body gain by chance: the mean of χ² with as many degrees of freedom.
+const CHANCE: f32 = PAYLOAD_PARAMETERS as f32;
+/// Part of the evidence for a body, beyond chance, that an empty hand must have for a release.
 const EMPTY_PART: f32 = 0.8;
 
 /// Test of a payload hypothesis. Squares are in variances of a measurement and fade with each block.
@@ -171,7 +173,7 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         let body = !matches!(rejection, Some((Reason::Implausible, _)));
         let gone = carries_payload
             && self.empty_cusum > EMPTY_EVIDENCE
-            && (!body || self.empty_evidence > EMPTY_PART * evidence);
+            && (!body || self.empty_evidence > EMPTY_PART * (evidence - CHANCE));
         let count = |counter: &mut u32, holds: bool, enough: bool| {
             *counter = if holds && enough { *counter + 1 } else { 0 };
             *counter >= config.decision_blocks
@@ -255,6 +257,11 @@ impl<const N: usize> PayloadHypothesisTest<N> {
     /// Number of blocks since the alarm or the last window.
     pub(crate) fn blocks(&self) -> u32 {
         self.blocks
+    }
+
+    /// True if there is evidence for an empty hand, beyond chance.
+    pub(crate) fn may_be_empty(&self) -> bool {
+        self.empty_cusum > CHANCE
     }
 
     /// True if there is evidence for a body whose mass is not certain enough yet.
