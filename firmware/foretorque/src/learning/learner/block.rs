@@ -197,7 +197,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let test = &mut supervisor.payload_test;
         let decision = test.decide(config, carries_payload, single, usual);
         if phase == Phase::Healthy {
-            let is_over = test.is_over(config);
             if supervisor.updates_payload(config) {
                 supervisor.payload = supervisor.payload_filter.payload();
                 supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
@@ -206,8 +205,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 supervisor.blocks_carried = supervisor.blocks_carried.saturating_add(1);
             }
             if !decision.is_some_and(PayloadDecision::is_change) {
-                if is_over {
-                    let test = &mut supervisor.payload_test;
+                let test = &mut supervisor.payload_test;
+                if test.is_over(config) {
                     test.next_window(config, &supervisor.payload);
                     supervisor.keep_checkpoint();
                 }

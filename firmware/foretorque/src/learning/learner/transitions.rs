@@ -92,6 +92,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             Action::Restore => state.restore(),
             Action::Promote => {
                 let supervisor = &mut state.supervisor;
+                // Rows of the window contain the body. Under a payload the checkpoint of before it is kept for the release.
                 if !supervisor.carries_payload {
                     supervisor.checkpoints[1] = supervisor.before_payload;
                 }

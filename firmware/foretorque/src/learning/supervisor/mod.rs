@@ -135,8 +135,8 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         settled && !self.state.reversed && self.state.phase == Phase::Healthy
     }
 
-    /// True if the payload in the torque is still updated: not with evidence for an empty hand, which would make it half a
-    /// payload that is hard to tell from none.
+    /// True if the payload in the torque is still updated. With evidence for an empty hand it is not: rows of an empty hand
+    /// would make it lighter, and harder to tell from none.
     #[inline(never)]
     pub(super) fn updates_payload(&self, config: &SupervisorConfig) -> bool {
         self.carries_payload
@@ -174,6 +174,22 @@ mod tests {
         LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
     }
 
+    /// Two rows of every payload parameter on two joints in turn, with `carried` in the torque where the arm feels `felt`;
+    /// standard deviations of a measurement and of a block, N·m.
+    fn add_rows(
+        supervisor: &mut Tested,
+        [carried, felt]: [&Payload; 2],
+        (sigma, inflated): (f32, f32),
+    ) {
+        for k in 0..2 * NO_PAYLOAD.len() {
+            let mut row = NO_PAYLOAD;
+            row[k % NO_PAYLOAD.len()] = 10.0;
+            let tau = payload_torque(felt, &row);
+            let test = &mut supervisor.payload_test;
+            test.add_row(k % 2, carried, &row, tau, sigma, inflated);
+        }
+    }
+
     #[test]
     fn a_restart_makes_the_loaded_set_that_of_every_checkpoint() {
         let mut supervisor = Tested::new(&config());
@@ -201,13 +217,7 @@ mod tests {
         // Torques whose error is ten times what they show.
         let mut paused = 0;
         let decision = (0..config.timeout_blocks).find_map(|_| {
-            for k in 0..2 * body.len() {
-                let mut row = NO_PAYLOAD;
-                row[k % body.len()] = 10.0;
-                let tau = payload_torque(&body, &row);
-                let test = &mut supervisor.payload_test;
-                test.add_row(k % 2, &NO_PAYLOAD, &row, tau, 0.1, 20.0);
-            }
+            add_rows(&mut supervisor, [&NO_PAYLOAD, &body], (0.1, 20.0));
             let decision = supervisor.payload_test.decide(&config, false, false, 0.0);
             paused += u32::from(supervisor.pauses_estimate(&config));
             decision.filter(|decision| decision.is_change())
@@ -229,13 +239,7 @@ mod tests {
         body[0] = 2.0;
         supervisor.carries_payload = true;
         for (felt, updates) in [(body, true), (NO_PAYLOAD, false)] {
-            for k in 0..2 * body.len() {
-                let mut row = NO_PAYLOAD;
-                row[k % body.len()] = 10.0;
-                let tau = payload_torque(&felt, &row);
-                let test = &mut supervisor.payload_test;
-                test.add_row(k % 2, &body, &row, tau, 1.0, 1.0);
-            }
+            add_rows(&mut supervisor, [&body, &felt], (1.0, 1.0));
             supervisor.payload_test.decide(&config, true, false, 0.0);
             assert_eq!(supervisor.updates_payload(&config), updates, "{felt:?}");
         }

@@ -49,7 +49,7 @@ const EMPTY_EVIDENCE: f32 = 45.0;
 const EVIDENCE_OF_OTHERS: f32 = 20.0;
 /// Evidence that the parameters of a body gain by chance: the mean of χ² with as many degrees of freedom.
 const CHANCE: f32 = PAYLOAD_PARAMETERS as f32;
-/// Part of the evidence for a body, beyond chance, that an empty hand must have for a release.
+/// Part of the evidence for a body that an empty hand must have for a release.
 const EMPTY_PART: f32 = 0.8;
 
 /// Test of a payload hypothesis. Squares are in variances of a measurement and fade with each block.
@@ -165,15 +165,16 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         let inverse = 1.0 / self.rows;
         let [current, hypothesis] = [self.current, self.hypothesis].map(|sum| sum * inverse);
         let quiet = config.quiet_level + USUAL_FACTOR * usual;
-        let rejection = self.rejection(config, quiet, current, hypothesis);
-        let (evidence, _) = self.evidence();
+        let (evidence, of_others) = self.evidence();
+        let evident = evidence > config.payload_evidence && of_others > EVIDENCE_OF_OTHERS;
+        let rejection = self.rejection(config, evident, quiet, [current, hypothesis]);
         self.undecided =
             matches!(rejection, Some((Reason::Uncertain, _))) && evidence > config.payload_evidence;
         self.empty_cusum = self.empty_cusum.max(0.0);
         let body = !matches!(rejection, Some((Reason::Implausible, _)));
         let gone = carries_payload
             && self.empty_cusum > EMPTY_EVIDENCE
-            && (!body || self.empty_evidence > EMPTY_PART * (evidence - CHANCE));
+            && (!body || self.empty_evidence > EMPTY_PART * evidence);
         let count = |counter: &mut u32, holds: bool, enough: bool| {
             *counter = if holds && enough { *counter + 1 } else { 0 };
             *counter >= config.decision_blocks
@@ -204,23 +205,22 @@ impl<const N: usize> PayloadHypothesisTest<N> {
 
     /// Reason to reject the hypothesis, with its figure.
     ///
+    /// * `evident` the evidence is enough for a promotion
     /// * `quiet` mean square that counts as usual
+    /// * mean squares with the payload in the torque, and with the hypothesis
     fn rejection(
         &self,
         config: &SupervisorConfig,
+        evident: bool,
         quiet: f32,
-        current: f32,
-        hypothesis: f32,
+        [current, hypothesis]: [f32; 2],
     ) -> Option<(Reason, f32)> {
         let mass_sigma = self.filter.mass_sigma();
         let payload = payload_estimate(&self.filter.payload(), mass_sigma);
         let plausible = payload.mass > 0.0 && config.is_body(&self.filter.payload());
         // In a window in which a payload is let go, the best body is half of it: the last rows show the empty hand.
-        let (evidence, most) = self.evidence();
-        let explained = evidence > config.payload_evidence
-            && evidence - most > EVIDENCE_OF_OTHERS
-            && hypothesis <= quiet + REMAINDER * current
-            && self.hypothesis < self.empty;
+        let explained =
+            evident && hypothesis <= quiet + REMAINDER * current && self.hypothesis < self.empty;
         if !plausible {
             Some((Reason::Implausible, payload.mass))
         } else if mass_sigma >= config.max_mass_sigma {
@@ -232,14 +232,17 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         }
     }
 
-    /// Evidence for the hypothesis, and that of the joint with the most.
+    /// Evidence for the hypothesis, and the part of it without the joint with the most.
     #[inline(never)]
     fn evidence(&self) -> (f32, f32) {
-        self.evidence
-            .iter()
-            .fold((0.0, 0.0), |(sum, most), &joint| {
-                (sum + joint, if joint > most { joint } else { most })
-            })
+        let (mut sum, mut most) = (0.0, 0.0);
+        for &joint in &self.evidence {
+            sum += joint;
+            if joint > most {
+                most = joint;
+            }
+        }
+        (sum, sum - most)
     }
 
     /// True if the window is over: its evidence is not on the way to that of a promotion before the timeout.
