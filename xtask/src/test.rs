@@ -128,9 +128,6 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
     board_clippy.args(["--lib", "--bins"]).args(STRICT);
     let mut plain_clippy = tools.board.board_library_cargo("clippy");
     plain_clippy.args(STRICT);
-    let mut log_clippy = tools.board.board_library_cargo("clippy");
-    log_clippy.args(["--features", "defmt"]).args(STRICT);
-    let no_std = tools.board.board_library_cargo("build");
     let mut tests = command("cargo");
     tests.args(["test", "--workspace", "--no-run"]);
     vec![
@@ -138,8 +135,6 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
         ("clippy, host", clippy),
         ("clippy, board", board_clippy),
         ("clippy, no log", plain_clippy),
-        ("clippy, log", log_clippy),
-        ("no_std library", no_std),
         ("tests, built", tests),
     ]
 }

@@ -120,9 +120,9 @@ fn six_drives_follow_a_board_three_times_better_with_its_torque() {
 fn the_emulated_master_sends_the_bits_of_its_twin() {
     for rate_hz in [500.0, 1000.0] {
         let wiring = wiring(&profile(rate_hz), Role::Master);
-        let expected = ride(Twin::new(&wiring), rate_hz, 0.8, true);
+        let expected = ride(Twin::new(&wiring), rate_hz, 0.4, true);
         let name = format!("master-{rate_hz}");
-        let seen = ride(Emulated::start(&name, Some(&wiring)), rate_hz, 0.8, true);
+        let seen = ride(Emulated::start(&name, Some(&wiring)), rate_hz, 0.4, true);
         assert!(seen.torques == expected.torques, "{rate_hz} Hz: torques");
         // Each port keeps its order; between two ports of the emulator there is none.
         let by_port = |mut sent: Ported| {
