@@ -55,15 +55,25 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     for (name, mut gate) in builds(tools) {
         outcomes.push(pass(name, || shell::run(&mut gate)));
     }
-    outcomes.push(pass("7 and 8 joints", || {
-        // Built with the tests.
-        let host_sim = shell::root().join("target/debug/host-sim");
-        arm::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
-    }));
-    // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
+    // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
+    let mut docs = command("cargo");
+    docs.args(["doc", "--workspace", "--no-deps"])
+        .args(["--lib", "--bins", "--examples"])
+        .env("RUSTDOCFLAGS", "-D warnings");
     let mut firmware = tools.board.board_cargo("build");
     firmware.arg("--bins");
-    outcomes.push(pass("firmware", || shell::run(&mut firmware)));
+    // Linking an image takes one core: the other one has the docs.
+    thread::scope(|scope| {
+        let beside = scope.spawn(move || pass("docs", || shell::run(&mut docs)));
+        outcomes.push(pass("7 and 8 joints", || {
+            // Built with the tests.
+            let host_sim = shell::root().join("target/debug/host-sim");
+            arm::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
+        }));
+        // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
+        outcomes.push(pass("firmware", || shell::run(&mut firmware)));
+        outcomes.push(beside.join().unwrap_or_else(|panic| resume_unwind(panic)));
+    });
     outcomes.push(pass("linked firmware", || {
         let names = [cost::JOINT, cost::DRIVE, cost::CAN];
         cost::check_firmware(&toolchain::elves(), &names)
@@ -91,13 +101,6 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         }));
         outcomes.extend(beside.join().unwrap_or_else(|panic| resume_unwind(panic)));
     });
-    // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
-    let mut docs = command("cargo");
-    docs.args(["doc", "--workspace", "--no-deps"])
-        .args(["--lib", "--bins", "--examples"])
-        .env("RUSTDOCFLAGS", "-D warnings");
-    outcomes.push(pass("docs", || shell::run(&mut docs)));
-
     println!("\n{:<16} {:<7} {:>8}", "gate", "result", "seconds");
     for outcome in &outcomes {
         let (name, seconds) = (outcome.name, outcome.seconds);
