@@ -84,7 +84,8 @@ pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import
 
 /// Links and joints of a URDF or MJCF.
 fn read(file: &str, text: &str) -> Result<document::Document, String> {
-    let text = document::with_prefixes(text);
+    // Common URDF parsers accept blank lines before the XML declaration.
+    let text = document::with_prefixes(text.trim_start());
     if document::parsed(&text)?
         .root_element()
         .has_tag_name("mujoco")

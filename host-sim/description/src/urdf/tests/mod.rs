@@ -246,6 +246,18 @@ fn numbers_that_look_like_other_units_are_asked_about() {
 }
 
 #[test]
+fn what_common_parsers_accept_beyond_xml_is_read() {
+    let prefixed = ARM.replacen("</robot>", "<gz:plugin/></robot>", 1);
+    for text in [
+        format!("\n <?xml version=\"1.0\"?>\n{ARM}"),
+        format!("\u{feff}{ARM}"),
+        prefixed,
+    ] {
+        assert_eq!(to_hand(&text), to_hand(ARM));
+    }
+}
+
+#[test]
 fn the_axis_of_a_fixed_joint_is_not_read() {
     let axis = "type=\"fixed\"><axis xyz=\"nan nan nan\"/>";
     assert_eq!(whole(&ARM.replace("type=\"fixed\">", axis)), whole(ARM));
