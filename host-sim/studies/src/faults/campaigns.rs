@@ -39,11 +39,11 @@ impl Lengths {
         times: 200,
         saves: 20_000,
     };
-    /// Five seconds of each kind, and what the store needs to fill and erase both sectors again and again.
+    /// Ten seconds of each kind, and what the store needs to fill and erase both sectors again and again.
     pub const SHORT: Self = Self {
-        native_s: 5,
-        bulk_s: 5,
-        usart_ticks: 40,
+        native_s: 10,
+        bulk_s: 10,
+        usart_ticks: 60,
         times: 10,
         saves: 3000,
     };

@@ -234,7 +234,8 @@ fn a_quarter_of_a_million_rows_agree_with_exact_arithmetic() {
         }
     }
     std::println!("f32 and f64 at most {worst:.1e} prior standard deviations apart");
-    assert!(worst <= 1e-2, "{worst}");
+    // Rounding adds up in proportion to the rows at most: 1e-2 for a million.
+    assert!(worst <= 2.5e-3, "{worst}");
 }
 
 #[test]
