@@ -73,7 +73,7 @@ impl ColumnUpdates<'_> {
             };
             let mut before = [0.0; W];
             each_row!(K < W {
-                if let Some(row) = rows.get_mut(K) && let Some(u) = part(row).get_mut(j) {
+                if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
                     before[K] = *u;
                 }
             });
@@ -83,7 +83,7 @@ impl ColumnUpdates<'_> {
             });
             each_row!(K < W {
                 products[K] = v * before[K];
-                if let Some(row) = rows.get_mut(K) && let Some(u) = part(row).get_mut(j) {
+                if let Some(u) = rows.get_mut(K).and_then(|row| part(row).get_mut(j)) {
                     *u = before[K] + lambda * sums[K];
                 }
             });
@@ -138,9 +138,8 @@ impl ColumnUpdates<'_> {
             let j = start + D;
             if let (Some(lambda), Some(v)) = (self.lambda.get(j), self.v.get(j)) {
                 each_row!(K < D {
-                    if let Some(row) = rows.get_mut(K) && let Some(u) = part(row).get_mut(j)
-                        && let Some(b) = sums.get_mut(K)
-                    {
+                    let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
+                    if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
                         update_entry(u, b, *lambda, *v);
                     }
                 });
@@ -164,7 +163,8 @@ pub(super) fn add_rows<R, const W: usize>(
     each_column!(j in start, end {
         if let Some(sum) = sum.get_mut(j) {
             each_row!(K < W {
-                if let (Some(row), Some(weight)) = (rows.get(K), weights.get(K)) && let Some(u) = part(row).get(j) {
+                let u = rows.get(K).and_then(|row| part(row).get(j));
+                if let (Some(u), Some(weight)) = (u, weights.get(K)) {
                     *sum += weight * u;
                 }
             });
@@ -191,7 +191,7 @@ fn update_column_compensated<const P: usize, const W: usize>(
 ) {
     let mut before = [0.0; W];
     each_row!(K < W {
-        if let Some(row) = rows.get_mut(K) && let Some(u) = entry(row, place.0, place.1) {
+        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place.0, place.1)) {
             before[K] = *u;
         }
     });
@@ -202,7 +202,7 @@ fn update_column_compensated<const P: usize, const W: usize>(
         let after = before[K] + steps[K];
         steps[K] -= after - before[K];
         sums[K] += v * before[K];
-        if let Some(row) = rows.get_mut(K) && let Some(u) = entry(row, place.0, place.1) {
+        if let Some(u) = rows.get_mut(K).and_then(|row| entry(row, place.0, place.1)) {
             *u = after;
         }
     });
