@@ -1,4 +1,4 @@
-//! Commissioning of a simulated arm, as it is described and with planted mistakes.
+//! Commissioning of a simulated arm, as it is described and with planted mistakes; shipped profiles.
 
 use crate::bus_loop::profile;
 use foretorque::arm::Arm;
@@ -8,10 +8,11 @@ use foretorque_link::drives::{Protocol, Ranges};
 use foretorque_workbench::bus::sim::{
     DriveTruth, LineFault, SimulatedDrive, SimulatedNetwork, TimedFault, plant_config,
 };
-use foretorque_workbench::bus::{BusError, BusPlayer, Commissioning, Step};
+use foretorque_workbench::bus::{BusError, BusPlayer, Commissioning, JointEntry, Profile, Step};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::robot::{Link, Perturbation, Robot};
+use std::path::Path;
 
 type Arm6 = Commissioning<Ur5, SimulatedNetwork<6>, 6, 40>;
 
@@ -210,4 +211,27 @@ fn a_drive_with_a_fault_is_named() {
     let named = "torque off: joint 2: the drive reports fault 0x9";
     assert_eq!(failed.as_deref(), Some(named));
     assert!(faulty.player.network.all_off());
+}
+
+#[test]
+fn shipped_profiles_are_sound() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../profiles");
+    let mut names = Vec::new();
+    for entry in folder.read_dir().unwrap() {
+        let path = entry.unwrap().path();
+        let profile = Profile::load(&path).unwrap();
+        let name = path.file_stem().unwrap().display().to_string();
+        for (place, joint) in profile.joint.iter().enumerate() {
+            assert_eq!(joint.drive.check(), Ok(()), "{name}, joint {}", place + 1);
+            let same = |other: &&_| {
+                let other: &&JointEntry = other;
+                other.bus == joint.bus && other.drive.id == joint.drive.id
+            };
+            assert_eq!(profile.joint.iter().filter(same).count(), 1, "{name}");
+        }
+        names.push(name);
+    }
+    for name in ["openarm", "yam", "piper-class", "moteus", "odrive"] {
+        assert!(names.iter().any(|shipped| shipped == name), "{name}");
+    }
 }

@@ -1,8 +1,7 @@
-//! Boards, buses and arms together. One test crate: the workbench is linked once.
+//! Boards and buses together. One test crate: the workbench is linked once.
 
 mod bus_commission;
 mod bus_loop;
-mod described_arms;
 mod driven;
 mod emulated_board;
 mod emulated_bus;

@@ -51,7 +51,8 @@
 //! * alarm: the CUSUM of a joint exceeds 25. Estimate, learnt set and shares return to the checkpoint of 0.128 s to 0.256 s
 //!   ago and are frozen.
 //! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6). While healthy
-//!   it runs in windows of 1.5 s and finds payloads (2, 8) that stay below the CUSUM of every joint.
+//!   it runs in windows of at most 3 s and finds payloads (2, 8) that stay below the CUSUM of every joint. A payload that
+//!   makes the torque worse for 1.5 s is released (8).
 //! * relearning: the variance of friction is raised; the torque stays as it is.
 //!
 //! A saturated torque, an unbridged gap or a number that is not finite freezes learning in every state (13 to 15); it

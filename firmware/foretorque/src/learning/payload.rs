@@ -91,7 +91,6 @@ fn terms<A: Arm<N, P>, const N: usize, const P: usize>() -> impl Iterator<Item =
 }
 
 /// Base parameters of `payload`, to be added to those of the arm.
-#[inline(never)]
 pub(super) fn payload_base<A: Arm<N, P>, const N: usize, const P: usize>(
     payload: &Payload,
 ) -> BaseParameters<P> {

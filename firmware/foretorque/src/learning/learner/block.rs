@@ -11,7 +11,7 @@ use crate::joint::JointVector;
 use crate::learning::change_detection::Block;
 use crate::learning::conditioning::{AVERAGED, ConditionedSample};
 use crate::learning::estimator::joint_friction_row;
-use crate::learning::payload::{payload_base, payload_row, payload_torque};
+use crate::learning::payload::{payload_row, payload_torque};
 use crate::learning::quality::Phase;
 use crate::learning::supervisor::payload_test::PayloadDecision;
 use crate::learning::supervisor::step::Evidence;
@@ -194,15 +194,20 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         let carries_payload = supervisor.carries_payload;
         let single = self.only_joint.is_some();
-        let test = &mut supervisor.payload_test;
-        let decision = test.decide(config, carries_payload, single, usual);
+        let decision = if supervisor.payload_costs(config) {
+            Some(PayloadDecision::Release)
+        } else {
+            let test = &mut supervisor.payload_test;
+            test.decide(config, carries_payload, single, usual)
+        };
         if phase == Phase::Healthy {
             if supervisor.updates_payload(config) {
-                supervisor.payload = supervisor.payload_filter.payload();
-                supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
+                let payload = supervisor.payload_filter.payload();
+                supervisor.set_payload::<A>(&payload);
             }
             if carries_payload {
                 supervisor.blocks_carried = supervisor.blocks_carried.saturating_add(1);
+                supervisor.payload_benefit.end_block(config.lasting_blocks);
             }
             if !decision.is_some_and(PayloadDecision::is_change) {
                 let test = &mut supervisor.payload_test;

@@ -142,6 +142,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let friction = dot(&row.columns.own, &active.0);
         let network = cut(network_output(network, row.qd), NETWORK_BOUND).0;
         let residual = (row.tau - rigid - friction) * inv_limit;
+        let payload = row.payload * inv_limit;
+        let benefit = &mut state.supervisor.payload_benefit;
+        benefit.add_row(payload, residual - network + payload);
         state.monitor.add_row(
             joint,
             &Observation {

@@ -1,3 +1,4 @@
+mod payload;
 mod requests;
 
 use super::*;

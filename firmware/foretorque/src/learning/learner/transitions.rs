@@ -8,10 +8,10 @@ use crate::learning::conditioning::TAPS;
 use crate::learning::config::LearnerConfig;
 use crate::learning::decision::Reason;
 use crate::learning::exchange::{LearningSample, Request};
-use crate::learning::payload::{NO_PAYLOAD, payload_base, payload_estimate};
+use crate::learning::payload::{NO_PAYLOAD, payload_estimate};
 use crate::learning::quality::{PayloadEstimate, Phase};
 use crate::learning::supervisor::Checkpoint;
-use crate::learning::supervisor::payload_test::PayloadDecision;
+use crate::learning::supervisor::payload_test::{PayloadBenefit, PayloadDecision};
 use crate::learning::supervisor::step::{Action, Evidence, step};
 use crate::limits::Flags;
 
@@ -82,8 +82,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             Action::TestPayload => {
                 state.restore();
                 let supervisor = &mut state.supervisor;
-                supervisor.payload = supervisor.checkpoints[1].payload;
-                supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
+                let payload = supervisor.checkpoints[1].payload;
+                supervisor.set_payload::<A>(&payload);
                 supervisor.keep_checkpoint();
                 let test = &mut supervisor.payload_test;
                 test.restart(&self.config.supervisor, &supervisor.payload);
@@ -99,9 +99,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.restore();
                 let supervisor = &mut state.supervisor;
                 supervisor.payload_filter = *supervisor.payload_test.filter();
-                supervisor.payload = supervisor.payload_filter.payload();
-                supervisor.payload_base = payload_base::<A, N, P>(&supervisor.payload);
+                let payload = supervisor.payload_filter.payload();
+                supervisor.set_payload::<A>(&payload);
                 supervisor.blocks_carried = 0;
+                supervisor.payload_benefit = PayloadBenefit::NONE;
                 supervisor.carries_payload = true;
             }
             Action::Release => state.release_payload(),

@@ -7,13 +7,14 @@ pub(super) mod step;
 
 use super::change_detection::{Block, BlockAverage, ChangeDetector};
 use super::parameters::LinearParameters;
-use super::payload::{NO_PAYLOAD, Payload, PayloadFilter, payload_sigma};
+use super::payload::{NO_PAYLOAD, Payload, PayloadFilter, payload_base, payload_sigma};
 use super::quality::Phase;
 use super::shares::{LearntShare, ShareEvidence};
+use crate::arm::Arm;
 use crate::dynamics::BaseParameters;
 use crate::joint::zero_vector;
 use config::SupervisorConfig;
-use payload_test::PayloadHypothesisTest;
+use payload_test::{PayloadBenefit, PayloadHypothesisTest};
 use step::SupervisorState;
 
 /// Linear parameters and payload of one instant.
@@ -57,6 +58,7 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     /// Payload filter after promotion.
     pub(super) payload_filter: PayloadFilter,
     pub(super) blocks_carried: u32,
+    pub(super) payload_benefit: PayloadBenefit,
     pub(super) payload_test: PayloadHypothesisTest<N>,
     /// Usual mean square of each joint's blocks, in units of the configured noise, and the number of blocks behind it.
     pub(super) block_variance: [(f32, u32); N],
@@ -95,6 +97,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
                 &payload_sigma(config.max_payload_mass),
             ),
             blocks_carried: 0,
+            payload_benefit: PayloadBenefit::NONE,
             payload_test: PayloadHypothesisTest::new(config, &NO_PAYLOAD),
             block_variance: [(1.0, 0); N],
             carries_payload: false,
@@ -117,6 +120,13 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             checkpoint.estimate = *set;
             checkpoint.learnt.set = *set;
         }
+    }
+
+    /// Make `payload` the payload in the torque.
+    #[inline(never)]
+    pub(super) fn set_payload<A: Arm<N, P>>(&mut self, payload: &Payload) {
+        self.payload = *payload;
+        self.payload_base = payload_base::<A, N, P>(payload);
     }
 
     /// Make the older checkpoint that of before a payload, unless there is one in the torque.
@@ -142,6 +152,13 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         self.carries_payload
             && self.blocks_carried < config.payload_update_blocks
             && !self.payload_test.may_be_empty()
+    }
+
+    /// True if the payload in the torque costs, after as many blocks as an error of the estimate lasts.
+    pub(super) fn payload_costs(&self, config: &SupervisorConfig) -> bool {
+        self.carries_payload
+            && self.blocks_carried > config.lasting_blocks
+            && self.payload_benefit.is_cost()
     }
 
     /// True if the estimate pauses under a payload, or with evidence for one.

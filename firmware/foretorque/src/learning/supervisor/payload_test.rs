@@ -52,6 +52,48 @@ const CHANCE: f32 = PAYLOAD_PARAMETERS as f32;
 /// Part of the evidence for a body that an empty hand must have for a release.
 const EMPTY_PART: f32 = 0.8;
 
+/// Benefit of the payload in the torque: whether the torques measured lately are nearer to those of the active set with it.
+///
+/// ```text
+/// v = Σ d r / Σ d²     d = torque of the payload     r = measured − active without payload
+/// ```
+/// The least-squares share v is near 1 under a body. Below 1/2 the squares with the payload are larger than without it: the
+/// hand is empty, or an error of the model on one part of a path was taken for a body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PayloadBenefit {
+    /// Σ d r and Σ d², faded.
+    cross: f32,
+    power: f32,
+}
+
+impl PayloadBenefit {
+    /// Benefit without rows.
+    pub(crate) const NONE: Self = Self {
+        cross: 0.0,
+        power: 0.0,
+    };
+
+    /// Add a row, in units of the torque limit.
+    ///
+    /// * `payload` torque of the payload      * `lacking` torque that the active set lacks without it
+    pub(crate) fn add_row(&mut self, payload: f32, lacking: f32) {
+        self.cross += payload * lacking;
+        self.power += payload * payload;
+    }
+
+    /// End of a block; `memory` of the sums, blocks.
+    pub(crate) fn end_block(&mut self, memory: u32) {
+        let fade = 1.0 - 1.0 / memory as f32;
+        self.cross *= fade;
+        self.power *= fade;
+    }
+
+    /// True if the payload costs.
+    pub(crate) fn is_cost(&self) -> bool {
+        self.cross < 0.5 * self.power
+    }
+}
+
 /// Test of a payload hypothesis. Squares are in variances of a measurement and fade with each block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PayloadHypothesisTest<const N: usize> {

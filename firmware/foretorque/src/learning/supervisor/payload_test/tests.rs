@@ -239,3 +239,21 @@ fn a_body_is_found_soon_and_nearly_whole_whenever_it_is_picked_up() {
         assert!(mean > whole, "{height}: {mean} kg");
     }
 }
+
+#[test]
+fn a_payload_costs_when_the_torques_want_less_than_half_of_it() {
+    let after = |shares: &[f32]| {
+        let mut benefit = PayloadBenefit::NONE;
+        for share in shares {
+            for row in 0..1000 {
+                let payload = (0.05 * row as f32).sin();
+                benefit.add_row(payload, share * payload);
+                benefit.end_block(500);
+            }
+        }
+        benefit.is_cost()
+    };
+    assert!(!PayloadBenefit::NONE.is_cost() && !after(&[0.6]) && after(&[0.4]));
+    // What was long ago does not count.
+    assert!(after(&[1.0, 1.0, 0.2]) && !after(&[0.0, 0.0, 0.8]));
+}

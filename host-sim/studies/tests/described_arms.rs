@@ -1,7 +1,7 @@
-//! Arms read at run time give the bits of compiled ones and of emulated boards, for any number of joints; modules of arms;
-//! shipped profiles.
+//! Arms read at run time give the bits of compiled ones and of emulated boards, for any number of joints; modules of arms.
+//!
+//! A test of the studies, because these hold the compiled boards of most numbers of joints already.
 
-use crate::trial::{PATIENCE, started};
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque::arm::{Arm, ArmModel};
@@ -10,16 +10,17 @@ use foretorque::feedforward::evaluate;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{LearnerConfig, ParameterSet, prior_factor, prior_factor_count};
 use foretorque_link::bank::{ColumnKind, NETWORK_SEED, ParameterBank};
+use foretorque_studies as _;
 use foretorque_workbench::arms;
-use foretorque_workbench::board::qemu::{Image, QemuOptions};
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, Described, Native, Transport};
-use foretorque_workbench::bus::Profile;
 use foretorque_workbench::generate::{arm_hash, arm_module, write_arm_module};
 use foretorque_workbench::robot::Robot;
-use std::path::Path;
 use std::time::Duration;
 
 const BOOT: Duration = Duration::from_millis(10);
+/// Longest time to an answer of the emulator on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 fn client<A: Arm<N, P> + 'static, const N: usize, const P: usize>() -> Client<N> {
     let board = Box::new(Native::<A, N, P>::new().unwrap());
@@ -146,7 +147,7 @@ fn emulated_boards_of_seven_and_eight_joints_give_the_bits_of_the_native_ones() 
         arms!(robot, N, P in (7, 48) (8, 56) => {
             Described::<N, P>::read(&robot).unwrap();
             let native: Box<dyn Transport> = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
-            let emulated: Box<dyn Transport> = Box::new(started(&options));
+            let emulated: Box<dyn Transport> = Box::new(Emulator::start(&options).unwrap());
             let boards = [native, emulated]
                 .map(|board| Client::connect::<Described<N, P>, P>(board, PATIENCE).unwrap());
             the_same_learning::<Described<N, P>, N, P>(boards, 600);
@@ -247,29 +248,6 @@ fn new_arm_is_declared_beside_the_others_once() {
     for bad in ["My.rs", "7.rs", "a-b.rs", "arm.txt"] {
         let error = write_arm_module(&robot, &folder.path().join(bad)).unwrap_err();
         assert_eq!(error.kind(), std::io::ErrorKind::InvalidInput, "{bad}");
-    }
-}
-
-#[test]
-fn shipped_profiles_are_sound() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../profiles");
-    let mut names = Vec::new();
-    for entry in folder.read_dir().unwrap() {
-        let path = entry.unwrap().path();
-        let profile = Profile::load(&path).unwrap();
-        let name = path.file_stem().unwrap().display().to_string();
-        for (place, joint) in profile.joint.iter().enumerate() {
-            assert_eq!(joint.drive.check(), Ok(()), "{name}, joint {}", place + 1);
-            let same = |other: &&_| {
-                let other: &&foretorque_workbench::bus::JointEntry = other;
-                other.bus == joint.bus && other.drive.id == joint.drive.id
-            };
-            assert_eq!(profile.joint.iter().filter(same).count(), 1, "{name}");
-        }
-        names.push(name);
-    }
-    for name in ["openarm", "yam", "piper-class", "moteus", "odrive"] {
-        assert!(names.iter().any(|shipped| shipped == name), "{name}");
     }
 }
 
