@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     std::fs::create_dir_all(&scratch)?;
     let all = scenarios(lengths, arguments.seed, &scratch);
     let (bar, count) = (Bar::new(), all.len());
-    for (place, scenario) in all.into_iter().enumerate() {
+    for (place, scenario) in all.iter().enumerate() {
         bar.show(scenario.name, place, count);
         let (name, start) = (scenario.name, Instant::now());
         let campaign = scenario

@@ -16,6 +16,7 @@ use foretorque_studies::faults::{Lengths, scenarios};
 use foretorque_workbench::board::Client;
 use foretorque_workbench::board::flash::SimulatedFlash;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::parallel::{cores, in_parallel};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -72,11 +73,12 @@ fn every_crash_switches_the_torque_off_and_is_reported_once() {
 #[test]
 fn every_kind_of_fault_is_survived_on_every_board() {
     let scratch = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-    for scenario in scenarios(Lengths::SHORT, 1, &scratch) {
+    let all = scenarios(Lengths::SHORT, 1, &scratch);
+    let campaigns = in_parallel(cores(), &all, |scenario| scenario.run(), || {});
+    assert_eq!(campaigns.len(), all.len());
+    for (scenario, campaign) in all.iter().zip(campaigns) {
         let name = scenario.name;
-        let campaign = scenario
-            .run()
-            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        let campaign = campaign.unwrap_or_else(|error| panic!("{name}: {error}"));
         assert!(campaign.is_survived(), "{campaign:?}");
         assert!(
             name != "no samples" || campaign.timeouts > 5,

@@ -58,7 +58,7 @@ enum Board {
 }
 
 impl Board {
-    fn connect(self) -> Result<Box<dyn Transport>, Box<dyn Error>> {
+    fn connect(self) -> Result<Box<dyn Transport>, Failure> {
         Ok(match self {
             Self::Native => Box::new(Native::<Ur5, JOINTS, PARAMETERS>::new()?),
             Self::Bulk => Box::new(Emulator::start(&QemuOptions::new(Image::Bulk))?),
@@ -67,9 +67,10 @@ impl Board {
     }
 }
 
-type Work = Box<dyn FnOnce() -> Result<Campaign, Box<dyn Error>>>;
+type Failure = Box<dyn Error + Send + Sync>;
+type Work = Box<dyn Fn() -> Result<Campaign, Failure> + Send + Sync>;
 
-/// One campaign to be run.
+/// One campaign to be run, on whatever thread.
 pub struct Scenario {
     /// Name of the broken part, for a progress bar.
     pub name: &'static str,
@@ -77,13 +78,13 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    fn new<E: Into<Box<dyn Error>>>(
+    fn new<E: Into<Failure>>(
         name: &'static str,
-        work: impl FnOnce() -> Result<Campaign, E> + 'static,
+        work: impl Fn() -> Result<Campaign, E> + Send + Sync + 'static,
     ) -> Self {
         Self {
             name,
-            work: Box::new(|| work().map_err(Into::into)),
+            work: Box::new(move || work().map_err(Into::into)),
         }
     }
 
@@ -91,9 +92,9 @@ impl Scenario {
     fn on(
         board: Board,
         name: &'static str,
-        work: impl FnOnce(Box<dyn Transport>) -> Result<Campaign, BoardError> + 'static,
+        work: impl Fn(Box<dyn Transport>) -> Result<Campaign, BoardError> + Send + Sync + 'static,
     ) -> Self {
-        Self::new(name, move || -> Result<_, Box<dyn Error>> {
+        Self::new(name, move || -> Result<_, Failure> {
             Ok(work(board.connect()?)?)
         })
     }
@@ -101,7 +102,7 @@ impl Scenario {
     /// Breaks things.
     ///
     /// Errors: a board that cannot be started, or one that is gone for good: that one has not survived.
-    pub fn run(self) -> Result<Campaign, Box<dyn Error>> {
+    pub fn run(&self) -> Result<Campaign, Failure> {
         (self.work)()
     }
 }
@@ -127,7 +128,7 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
         let trace = scratch.join(format!("{}.trace", crash.name.replace(' ', "-")));
         let times = lengths.times.div_ceil(20);
         all.push(Scenario::new(crash.name, move || {
-            crashes(crash, times, trace)
+            crashes(crash, times, trace.clone())
         }));
     }
     all
@@ -173,7 +174,7 @@ fn flash(all: &mut Vec<Scenario>, lengths: Lengths, seed: u64) {
     };
     let real = real.into_iter().flatten();
     all.push(Scenario::new("power cuts", move || {
-        store::power_cuts::<SECTOR>(real, seed)
+        store::power_cuts::<SECTOR>(real.clone(), seed)
     }));
     all.push(Scenario::new("power cuts, small", move || {
         let mut campaign = store::power_cuts::<SMALL_SECTOR>(0..=6, seed)?;
