@@ -62,7 +62,7 @@ struct Outcome {
 /// Sets up, fuzzes, prints a table and writes target/foretorque/fuzz.json.
 pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     setup::run(forced)?;
-    let outcomes = fuzz(runs)?;
+    let outcomes = fuzz("release", runs)?;
     let mut json = String::from("{\"targets\": [");
     println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
     for (place, outcome) in outcomes.iter().enumerate() {
@@ -88,9 +88,9 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     check(&outcomes)
 }
 
-/// A short run, the same every time.
+/// A short run, the same every time, of code that is compiled in half the time.
 pub(crate) fn gate() -> Result<()> {
-    check(&fuzz(SHORT)?)
+    check(&fuzz("short", SHORT)?)
 }
 
 fn check(outcomes: &[Outcome]) -> Result<()> {
@@ -128,8 +128,8 @@ fn corpus(name: &str) -> PathBuf {
     root().join(HOME).join("corpus").join(name)
 }
 
-/// Builds the targets and fuzzes all of them, `runs` executions in all.
-fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
+/// Builds the targets with `profile` and fuzzes all of them, `runs` executions in all.
+fn fuzz(profile: &'static str, runs: u64) -> Result<Vec<Outcome>> {
     setup::bring_program("c++", "g++").context("libFuzzer needs a C++ compiler")?;
     unpack()?;
     let host = capture(command("rustc").arg("-vV")).context("rustc reports no version")?;
@@ -138,12 +138,8 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     let mut build = command("cargo");
     // With a target named, the flags are for the code that is fuzzed and not for what builds it.
     build
-        .args([
-            "build",
-            "--release",
-            "--manifest-path",
-            "tests/fuzz/Cargo.toml",
-        ])
+        .args(["build", "--profile", profile])
+        .args(["--manifest-path", "tests/fuzz/Cargo.toml"])
         .args(["--target-dir", "target/fuzz", "--target", &host])
         .env("RUSTFLAGS", COVERAGE);
     for target in LANES.iter().copied().flatten() {
@@ -151,11 +147,11 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     }
     shell::run(&mut build)?;
     let lanes = LANES.each_ref().map(|lane| {
-        let host = host.clone();
+        let programs = format!("target/fuzz/{host}/{profile}");
         thread::spawn(move || {
             let targets = lane.iter();
             targets
-                .map(|target| attack(target, &host, runs * target.share / 100))
+                .map(|target| attack(target, &programs, runs * target.share / 100))
                 .collect::<Result<Vec<_>>>()
         })
     });
@@ -169,8 +165,8 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     Ok(outcomes)
 }
 
-/// Fuzzes one target and reads the report of libFuzzer.
-fn attack(target: &Target, host: &str, runs: u64) -> Result<Outcome> {
+/// Fuzzes one target, of the directory `programs`, and reads the report of libFuzzer.
+fn attack(target: &Target, programs: &str, runs: u64) -> Result<Outcome> {
     let Target { name, max_len, .. } = target;
     let home = root().join(HOME).join(name);
     let (found, seeds) = (home.join("found"), home.join("seeds"));
@@ -178,7 +174,7 @@ fn attack(target: &Target, host: &str, runs: u64) -> Result<Outcome> {
         fs::create_dir_all(directory)?;
     }
     let log = home.join("log");
-    let output = command(&format!("target/fuzz/{host}/release/{name}"))
+    let output = command(&format!("{programs}/{name}"))
         // New inputs go to the first directory; the others are only read.
         .args([&found, &corpus(name), &seeds])
         .arg(format!("-runs={runs}"))
