@@ -57,7 +57,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     }
     // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
     let mut docs = command("cargo");
-    docs.args(["doc", "--profile", "test", "--workspace", "--no-deps"])
+    docs.args(["doc", "--workspace", "--no-deps"])
         .args(["--lib", "--bins", "--examples"])
         .env("RUSTDOCFLAGS", "-D warnings");
     let mut firmware = tools.board.board_cargo("build");
@@ -125,14 +125,7 @@ fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
     fmt.args(["fmt", "--all", "--check"]);
     let mut clippy = tools.host.tool("cargo");
     clippy
-        // The profile of the tests, to share what they run while they are built.
-        .args([
-            "clippy",
-            "--profile",
-            "test",
-            "--workspace",
-            "--all-targets",
-        ])
+        .args(["clippy", "--workspace", "--all-targets"])
         .args(STRICT);
     let mut board_clippy = tools.board.board_cargo("clippy");
     board_clippy.args(["--lib", "--bins"]).args(STRICT);
