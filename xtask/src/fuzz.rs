@@ -88,7 +88,7 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     check(&outcomes)
 }
 
-/// A short run, the same every time, of code that is compiled in half the time.
+/// A short run, the same every time, of code that compiles faster and runs slower.
 pub(crate) fn gate() -> Result<()> {
     check(&fuzz("short", SHORT)?)
 }

@@ -75,7 +75,6 @@ fn every_kind_of_fault_is_survived_on_every_board() {
     let scratch = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
     let all = scenarios(Lengths::SHORT, 1, &scratch);
     let campaigns = in_parallel(cores(), &all, |scenario| scenario.run(), || {});
-    assert_eq!(campaigns.len(), all.len());
     for (scenario, campaign) in all.iter().zip(campaigns) {
         let name = scenario.name;
         let campaign = campaign.unwrap_or_else(|error| panic!("{name}: {error}"));

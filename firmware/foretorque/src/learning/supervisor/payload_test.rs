@@ -57,8 +57,8 @@ const EMPTY_PART: f32 = 0.8;
 /// ```text
 /// v = Σ d r / Σ d²     d = torque of the payload     r = measured − active without payload
 /// ```
-/// The least-squares share v is near 1 under a body. Below 1/2 the squares with the payload are larger than without it: the
-/// hand is empty, or an error of the model on one part of a path was taken for a body.
+/// The least-squares share v is near 1 under a body. Below 1/2 the squared error with the payload is larger than without it:
+/// the hand is empty, or an error of the model on one part of a path was taken for a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PayloadBenefit {
     /// Σ d r and Σ d², faded.
@@ -88,7 +88,7 @@ impl PayloadBenefit {
         self.power *= fade;
     }
 
-    /// True if the payload costs.
+    /// True if the torques are nearer to those without the payload.
     pub(crate) fn is_cost(&self) -> bool {
         self.cross < 0.5 * self.power
     }
