@@ -233,9 +233,9 @@ fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
     set: &ParameterSet<N, P>,
 ) -> Result<(), BankError> {
     let largest = A::limits().iter().fold(0.0, |m: f32, l| m.max(l.torque));
-    let friction = set.friction.iter().enumerate();
-    for (joint, value) in friction.flat_map(|(joint, f)| f.0.map(|value| (joint, value))) {
-        if value.abs() > LARGEST_PARAMETER * largest {
+    for (joint, friction) in set.friction.iter().enumerate() {
+        let mut parameters = friction.0.iter();
+        if parameters.any(|value| value.abs() > LARGEST_PARAMETER * largest) {
             return Err(BankError::Implausible(joint as u8));
         }
     }

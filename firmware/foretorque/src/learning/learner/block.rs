@@ -4,8 +4,8 @@ use super::row::joint_attenuation;
 use super::{Learner, increment};
 use crate::arm::Arm;
 use crate::dynamics::{
-    BaseParameters, COGGING_COLUMNS, FrictionParameters, Pose, friction_under, regressor_row_at,
-    rnea_of,
+    BaseParameters, COGGING_COLUMNS, FRICTION_COLUMNS, FrictionColumn, FrictionParameters, Pose,
+    friction_under, regressor_row_at, rnea_of,
 };
 use crate::joint::JointVector;
 use crate::learning::change_detection::Block;
@@ -84,7 +84,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         sample.tau - torque - friction_under::<A, N, P>(&drives, &motion.q, &motion.qd, &pose.load)
     }
 
-    /// Process `joint` of `block`: a row of the payload test, or change detection and update of the payload filter.
+    /// Process `joint` of `block`: a row of the payload test, or change detection and update of the payload filter. At rest it
+    /// only shows whether the payload in the torque is still there.
     #[inline(never)]
     fn process_block(&mut self, tick: u32, joint: usize, block: &Block<N>) {
         if self.only_joint.is_some_and(|only| only != joint) {
@@ -104,7 +105,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             0.0
         };
         let state = &mut self.state;
-        let (Some(true), Some(&tau), Some(limits), Some(&measured), Some(&innovation)) = (
+        let (Some(&moving), Some(&tau), Some(limits), Some(&measured), Some(&innovation)) = (
             block.moving.get(joint),
             block.residual.get(joint),
             A::limits().get(joint),
@@ -113,6 +114,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         ) else {
             return;
         };
+        if !(moving || phase == Phase::Healthy && state.supervisor.carries_payload) {
+            return;
+        }
         let row = regressor_row_at::<A, N, P>(joint, &pose.angles, &block.motion)
             .data
             .0[0];
@@ -125,33 +129,42 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let Some((usual, blocks)) = supervisor.block_variance.get_mut(joint) else {
             return;
         };
+        // Of the estimate. Before the first row of a joint there is none.
+        let error = (innovation - measured).max(0.0);
+        let expected = *usual + error;
+        if !moving {
+            let mut friction = 0.0;
+            let estimate = state.estimate.parameters();
+            if let (Some(of), Some(load)) = (estimate.friction.get(joint), pose.load.get(joint)) {
+                friction = breakaway_torque(of, *load);
+            }
+            let variance = unit * unit * expected + friction * friction;
+            let payload = payload_torque(&supervisor.payload, &row);
+            supervisor.payload_test.add_rest(payload, tau, variance);
+            return;
+        }
         let inflated = unit * sqrt(noise + FRICTION_CORRELATION * friction_variance);
         // Thresholds are in variances of one measurement, not of a mean.
         let sigma = unit * sqrt(AVERAGED as f32 * measured);
-        match phase {
-            Phase::PayloadTest => {
-                let payload = &supervisor.payload;
-                let test = &mut supervisor.payload_test;
-                test.add_row(joint, payload, &row, tau, sigma, inflated);
+        let lasting = error * config.lasting_blocks as f32;
+        let deviation = match phase {
+            Phase::PayloadTest => inflated,
+            Phase::Healthy => unit * sqrt(noise + lasting),
+            Phase::Relearning | Phase::Stopped => return,
+        };
+        let payload = &supervisor.payload;
+        let test = &mut supervisor.payload_test;
+        test.add_row(joint, payload, &row, tau, sigma, deviation);
+        if phase == Phase::Healthy {
+            let residual = (tau - payload_torque(payload, &row)) / unit;
+            update_block_variance(usual, blocks, residual, config.detector.clip);
+            if updates {
+                supervisor.payload_filter.update(&row, tau, inflated);
             }
-            Phase::Healthy => {
-                let residual = (tau - payload_torque(&supervisor.payload, &row)) / unit;
-                let lasting = (innovation - measured).max(0.0) * config.lasting_blocks as f32;
-                let payload = &supervisor.payload;
-                let test = &mut supervisor.payload_test;
-                let deviation = unit * sqrt(noise + lasting);
-                test.add_row(joint, payload, &row, tau, sigma, deviation);
-                let expected = *usual + innovation - measured;
-                update_block_variance(usual, blocks, residual, config.detector.clip);
-                if updates {
-                    supervisor.payload_filter.update(&row, tau, inflated);
-                }
-                let z = residual / sqrt(expected);
-                if let Some(sum) = supervisor.detector.push(&config.detector, joint, z) {
-                    self.decide_on(tick, Some(joint), Evidence::Change(sum));
-                }
+            let z = residual / sqrt(expected);
+            if let Some(sum) = supervisor.detector.push(&config.detector, joint, z) {
+                self.decide_on(tick, Some(joint), Evidence::Change(sum));
             }
-            Phase::Relearning | Phase::Stopped => {}
         }
     }
 
@@ -222,6 +235,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             self.end_payload_test(tick, decision);
         }
     }
+}
+
+/// Friction torque of a joint that begins to move, N·m.
+///
+/// * `friction` parameters of the joint      * `load` torque that its gear carries, N·m
+fn breakaway_torque(friction: &[f32; FRICTION_COLUMNS], load: f32) -> f32 {
+    let of = |column: FrictionColumn| friction[column as usize];
+    of(FrictionColumn::Coulomb)
+        + of(FrictionColumn::Stribeck)
+        + of(FrictionColumn::ShearThinning)
+        + of(FrictionColumn::Load) * load.abs()
 }
 
 /// Update the usual variance with the `residual` of one block; `blocks` is the number of blocks behind it.

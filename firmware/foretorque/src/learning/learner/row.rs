@@ -230,8 +230,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
+    /// Share of the estimate in the torque of every joint by the evidence.
+    #[inline(never)]
+    pub(super) fn shares(&self) -> [f32; N] {
+        core::array::from_fn(|joint| self.share(joint))
+    }
+
     /// Share of the estimate in the torque of `joint` by the evidence.
-    pub(super) fn share(&self, joint: usize) -> f32 {
+    fn share(&self, joint: usize) -> f32 {
         let variance = self.state.estimate.variance().get(joint);
         let noise = self.config.noise * self.config.noise * self.state.estimate.correlation(joint);
         let evidence = &self.state.supervisor.learnt.evidence;

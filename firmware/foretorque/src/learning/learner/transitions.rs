@@ -172,7 +172,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let known = !restored && state.round_steps.iter().all(Option::is_some);
         if state.phase().learns() && known {
             state.raise_friction_variance(self.config.supervisor.raised_variance);
-            let shares = core::array::from_fn(|joint| self.share(joint));
+            let shares = self.shares();
             let supervisor = &self.state.supervisor;
             let learnt = &supervisor.learnt.evidence;
             // In the first moments, friction that the loaded set lacks may oppose its torques.
@@ -201,7 +201,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     ///
     /// Torque is linear in the set and in the share, so a part of the way is at most the same part of the torque step.
     fn follow(&mut self) {
-        let shares: [f32; N] = core::array::from_fn(|joint| self.share(joint));
+        let shares = self.shares();
         let state = &mut self.state;
         let mut largest = 0.0;
         for step in state.round_steps.iter().flatten() {

@@ -144,11 +144,11 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         *self = Self::new(config, payload);
     }
 
-    /// Start the next window, with the hypothesis at `payload`.
+    /// Start the next window, with the hypothesis at `payload`; the evidence for an empty hand since the promotion stays.
     pub(crate) fn next_window(&mut self, config: &SupervisorConfig, payload: &Payload) {
-        let cusum = self.empty_cusum;
+        let (cusum, blocks) = (self.empty_cusum, self.release_blocks);
         self.restart(config, payload);
-        self.empty_cusum = cusum;
+        (self.empty_cusum, self.release_blocks) = (cusum, blocks);
     }
 
     /// Add the residual torque `tau` of `joint` without payload, N·m, with its payload row.
@@ -187,6 +187,23 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         }
     }
 
+    /// Add a joint at rest, with the residual torque `tau` without payload, N·m.
+    ///
+    /// * `payload` torque of the payload, N·m
+    /// * `variance` of a block and of the friction that holds the joint, (N·m)²
+    ///
+    /// This friction does not change while the joint rests: all its blocks are one observation, and have to show the empty hand
+    /// each by itself. The square with an empty hand counts twice: where a brake holds the joint, its torque is that of neither.
+    pub(crate) fn add_rest(&mut self, payload: f32, tau: f32, variance: f32) {
+        let with = tau - payload;
+        let empty = (with * with - 2.0 * tau * tau) / variance;
+        if empty > EMPTY_EVIDENCE {
+            self.empty_cusum = empty;
+            self.empty_evidence = empty;
+            self.rows = MIN_ROWS;
+        }
+    }
+
     /// Decision after the last joint of a block, if there is one.
     ///
     /// * `carries_payload` a payload is in the torque      * `single` the learner has rows of one joint only
@@ -217,15 +234,17 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         let gone = carries_payload
             && self.empty_cusum > EMPTY_EVIDENCE
             && (!body || self.empty_evidence > EMPTY_PART * evidence);
-        let count = |counter: &mut u32, holds: bool, enough: bool| {
-            *counter = if holds && enough { *counter + 1 } else { 0 };
-            *counter >= config.decision_blocks
-        };
-        let promoted = count(&mut self.promote_blocks, rejection.is_none(), enough);
-        let released = count(&mut self.release_blocks, gone, enough);
-        let enough = enough || single && self.rows >= MIN_ROWS_SINGLE;
         let over = current < quiet && hypothesis >= UNEXPLAINED * current;
-        let over = count(&mut self.quiet_blocks, over, enough);
+        let few = single && self.rows >= MIN_ROWS_SINGLE;
+        let [promoted, released, over] = [
+            (&mut self.promote_blocks, rejection.is_none() && enough),
+            (&mut self.release_blocks, gone && enough),
+            (&mut self.quiet_blocks, over && (enough || few)),
+        ]
+        .map(|(blocks, holds)| {
+            *blocks = if holds { *blocks + 1 } else { 0 };
+            *blocks >= config.decision_blocks
+        });
         let squares = [&mut self.current, &mut self.hypothesis, &mut self.empty];
         for sum in squares.into_iter().chain([&mut self.rows]) {
             *sum *= FADE;

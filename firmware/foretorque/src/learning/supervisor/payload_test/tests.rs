@@ -241,6 +241,35 @@ fn a_body_is_found_soon_and_nearly_whole_whenever_it_is_picked_up() {
 }
 
 #[test]
+fn a_joint_at_rest_shows_an_empty_hand_where_no_friction_and_no_brake_can_hide_it() {
+    let config = config();
+    let mut body = NO_PAYLOAD;
+    body[0] = 1.0;
+    // Payload of 10 N·m; residual without it and deviation, N·m; blocks between two such blocks.
+    for (residual, deviation, every, released) in [
+        (0.0, 1.0, 1, true),
+        (1.0, 1.0, 1, true),
+        (10.0, 1.0, 1, false),
+        (5.0, 1.0, 1, false),
+        // Friction of a quarter of its torque, or more.
+        (0.0, 1.6, 1, false),
+        // A brake carries the arm as well.
+        (-40.0, 1.0, 1, false),
+        // Not in consecutive blocks.
+        (0.0, 1.0, config.decision_blocks - 1, false),
+    ] {
+        let mut test = PayloadHypothesisTest::<2>::new(&config, &body);
+        let after = (0..1000).find(|block| {
+            let residual = if block % every == 0 { residual } else { 10.0 };
+            test.add_rest(10.0, residual, deviation * deviation);
+            test.decide(&config, true, false, 1.0) == Some(PayloadDecision::Release)
+        });
+        let expected = released.then_some(config.decision_blocks - 1);
+        assert_eq!(after, expected, "{residual} {deviation} {every}");
+    }
+}
+
+#[test]
 fn a_payload_costs_when_the_torques_want_less_than_half_of_it() {
     let after = |shares: &[f32]| {
         let mut benefit = PayloadBenefit::NONE;
