@@ -4,8 +4,8 @@ use super::row::joint_attenuation;
 use super::{Learner, increment};
 use crate::arm::Arm;
 use crate::dynamics::{
-    BaseParameters, COGGING_COLUMNS, FRICTION_COLUMNS, FrictionColumn, FrictionParameters, Pose,
-    friction_under, regressor_row_at, rnea_of,
+    BaseParameters, COGGING_COLUMNS, FRICTION_COLUMNS, FrictionColumn, FrictionParameters,
+    FrictionPoint, Pose, friction_under, regressor_row_at, rnea_of,
 };
 use crate::joint::JointVector;
 use crate::learning::change_detection::Block;
@@ -129,15 +129,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let Some((usual, blocks)) = supervisor.block_variance.get_mut(joint) else {
             return;
         };
-        // Of the estimate. Before the first row of a joint there is none.
+        // Variance by the error of the estimate; unknown before the first row of the joint.
         let error = (innovation - measured).max(0.0);
         let expected = *usual + error;
         if !moving {
-            let mut friction = 0.0;
-            let estimate = state.estimate.parameters();
-            if let (Some(of), Some(load)) = (estimate.friction.get(joint), pose.load.get(joint)) {
-                friction = breakaway_torque(of, *load);
-            }
+            let friction = &state.estimate.parameters().friction;
+            let (Some(friction), Some(&load)) = (friction.get(joint), pose.load.get(joint)) else {
+                return;
+            };
+            let friction = breakaway_torque(friction, load);
             let variance = unit * unit * expected + friction * friction;
             let payload = payload_torque(&supervisor.payload, &row);
             supervisor.payload_test.add_rest(payload, tau, variance);
@@ -241,11 +241,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 ///
 /// * `friction` parameters of the joint      * `load` torque that its gear carries, N·m
 fn breakaway_torque(friction: &[f32; FRICTION_COLUMNS], load: f32) -> f32 {
-    let of = |column: FrictionColumn| friction[column as usize];
-    of(FrictionColumn::Coulomb)
-        + of(FrictionColumn::Stribeck)
-        + of(FrictionColumn::ShearThinning)
-        + of(FrictionColumn::Load) * load.abs()
+    let begin = FrictionPoint {
+        qd: 0.0,
+        sign: 1.0,
+        load,
+        cogging_sin: 0.0,
+        cogging_cos: 0.0,
+    };
+    let friction = FrictionParameters(*friction);
+    friction.torque(&begin.columns()) - friction[FrictionColumn::Offset]
 }
 
 /// Update the usual variance with the `residual` of one block; `blocks` is the number of blocks behind it.

@@ -171,6 +171,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
     }
 
     /// Discard incomplete blocks.
+    #[inline(never)]
     pub(super) fn reset_blocks(&mut self) {
         self.block_average.reset();
         self.pending_block = None;

@@ -197,10 +197,13 @@ impl<const N: usize> PayloadHypothesisTest<N> {
     pub(crate) fn add_rest(&mut self, payload: f32, tau: f32, variance: f32) {
         let with = tau - payload;
         let empty = (with * with - 2.0 * tau * tau) / variance;
+        // Just enough, so that the next rows of motion decide.
         if empty > EMPTY_EVIDENCE {
-            self.empty_cusum = empty;
-            self.empty_evidence = empty;
-            self.rows = MIN_ROWS;
+            self.empty_cusum = EMPTY_EVIDENCE;
+            self.empty_evidence = EMPTY_EVIDENCE;
+            if self.rows < MIN_ROWS {
+                self.rows = MIN_ROWS;
+            }
         }
     }
 
@@ -232,7 +235,7 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         self.empty_cusum = self.empty_cusum.max(0.0);
         let body = !matches!(rejection, Some((Reason::Implausible, _)));
         let gone = carries_payload
-            && self.empty_cusum > EMPTY_EVIDENCE
+            && self.empty_cusum >= EMPTY_EVIDENCE
             && (!body || self.empty_evidence > EMPTY_PART * evidence);
         let over = current < quiet && hypothesis >= UNEXPLAINED * current;
         let few = single && self.rows >= MIN_ROWS_SINGLE;

@@ -270,6 +270,22 @@ fn a_joint_at_rest_shows_an_empty_hand_where_no_friction_and_no_brake_can_hide_i
 }
 
 #[test]
+fn a_torque_at_rest_that_is_that_of_an_empty_hand_for_a_moment_is_forgotten_in_motion() {
+    let config = config();
+    let mut body = NO_PAYLOAD;
+    body[0] = 1.0;
+    let mut test = PayloadHypothesisTest::<2>::new(&config, &body);
+    test.add_rest(100.0, 0.0, 1.0);
+    assert_eq!(test.decide(&config, true, false, 1.0), None);
+    assert!(test.may_be_empty());
+    for k in 0..10 {
+        test.add_row(k % 2, &body, &body, 1.0, 0.2, 0.2);
+    }
+    assert_eq!(test.decide(&config, true, false, 1.0), None);
+    assert!(!test.may_be_empty());
+}
+
+#[test]
 fn a_payload_costs_when_the_torques_want_less_than_half_of_it() {
     let after = |shares: &[f32]| {
         let mut benefit = PayloadBenefit::NONE;
