@@ -207,7 +207,7 @@ fn a_sound_log_of_any_arm_is_refused_for_nothing() {
         }
         for (robot, seed) in [(&described, 1), (&bare, 17), (&light, 1)] {
             write(here.join("arm.toml"), robot.to_toml().expect("text"));
-            let path = "--trajectory validation --duration-s 12 --robot arm.toml --out log.csv";
+            let path = "--trajectory validation --duration-s 8 --robot arm.toml --out log.csv";
             succeeds(&here, &format!("simulate {path} --seed {seed}"));
             succeeds(
                 &here,

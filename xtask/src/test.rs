@@ -52,55 +52,21 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
         seconds: start.elapsed().as_secs_f64(),
     }];
 
-    for (name, mut gate) in builds(tools) {
-        outcomes.push(pass(name, || shell::run(&mut gate)));
-    }
-    // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
-    let mut docs = command("cargo");
-    docs.args(["doc", "--workspace", "--no-deps"])
-        .args(["--lib", "--bins", "--examples"])
-        .env("RUSTDOCFLAGS", "-D warnings");
-    let mut firmware = tools.board.board_cargo("build");
-    firmware.arg("--bins");
-    // Linking an image takes one core: the other one has the docs.
-    thread::scope(|scope| {
-        let beside = scope.spawn(move || pass("docs", || shell::run(&mut docs)));
-        outcomes.push(pass("7 and 8 joints", || {
-            // Built with the tests.
-            let host_sim = shell::root().join("target/debug/host-sim");
-            arm::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
-        }));
-        // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
-        outcomes.push(pass("firmware", || shell::run(&mut firmware)));
-        outcomes.push(beside.join().unwrap_or_else(|panic| resume_unwind(panic)));
-    });
-    outcomes.push(pass("linked firmware", || {
-        let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-        cost::check_firmware(&toolchain::elves(), &names)
-    }));
-    outcomes.push(pass("words", words::run));
-    outcomes.push(pass("circles", circles::run));
-    outcomes.push(pass("library for C", || {
-        capi::bring_compiler()?;
-        capi::build(tools)
-    }));
-    // After the builds, because the tests run the board's ELF files. They leave half a core idle: gates that build in
-    // directories of their own run beside them.
+    // Each lane has directories of its own, so that no build waits for another one.
+    outcomes.extend(side_by_side([host_builds(tools), board_builds(tools)]));
+    // Linking an image takes one core.
+    outcomes.extend(side_by_side([images(tools), documents()]));
+    // After the builds, because the tests run the board's ELF files.
     let mut counts = Counts::default();
-    thread::scope(|scope| {
-        let outside = || pass("crate outside", || outside::gate(tools));
-        let beside = scope.spawn(move || [outside(), pass("fuzzing", fuzz::gate)]);
-        outcomes.push(pass("tests", || {
-            let (seen, ended_well) =
-                count_tests(command("cargo").args(["test", "--workspace", "--no-fail-fast"]))?;
-            counts = attribute(seen, ended_well);
-            if !ended_well {
-                bail!("`cargo test` failed");
-            }
-            Ok(())
-        }));
-        outcomes.extend(beside.join().unwrap_or_else(|panic| resume_unwind(panic)));
-    });
+    outcomes.push(pass("tests", || {
+        let (seen, ended_well) =
+            count_tests(command("cargo").args(["test", "--workspace", "--no-fail-fast"]))?;
+        counts = attribute(seen, ended_well);
+        if !ended_well {
+            bail!("`cargo test` failed");
+        }
+        Ok(())
+    }));
     println!("\n{:<16} {:<7} {:>8}", "gate", "result", "seconds");
     for outcome in &outcomes {
         let (name, seconds) = (outcome.name, outcome.seconds);
@@ -118,28 +84,97 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     Ok(())
 }
 
-/// The gates that only build or look, cheapest first.
-fn builds(tools: Tools) -> Vec<(&'static str, Command)> {
-    const STRICT: [&str; 3] = ["--", "-D", "warnings"];
+/// A gate with its name.
+type Gate = (&'static str, Box<dyn FnOnce() -> Result<()> + Send>);
+
+fn gate(name: &'static str, work: impl FnOnce() -> Result<()> + Send + 'static) -> Gate {
+    (name, Box::new(work))
+}
+
+/// A gate that is one command.
+fn runs(name: &'static str, mut command: Command) -> Gate {
+    gate(name, move || shell::run(&mut command))
+}
+
+/// Passes the gates of both lanes at the same time, those of a lane in their order.
+fn side_by_side(lanes: [Vec<Gate>; 2]) -> Vec<Outcome> {
+    let passed = |lane: Vec<Gate>| -> Vec<Outcome> {
+        let gates = lane.into_iter();
+        gates.map(|(name, work)| pass(name, work)).collect()
+    };
+    thread::scope(|scope| {
+        let lanes = lanes.map(|lane| scope.spawn(move || passed(lane)));
+        let outcomes = lanes.map(|lane| lane.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        outcomes.into_iter().flatten().collect()
+    })
+}
+
+/// Options of a lint, to refuse what it finds.
+const STRICT: [&str; 3] = ["--", "-D", "warnings"];
+
+/// What is built in the host's directory, the cheapest first.
+fn host_builds(tools: Tools) -> Vec<Gate> {
     let mut fmt = tools.host.tool("cargo");
     fmt.args(["fmt", "--all", "--check"]);
     let mut clippy = tools.host.tool("cargo");
     clippy
         .args(["clippy", "--workspace", "--all-targets"])
         .args(STRICT);
-    let mut board_clippy = tools.board.board_cargo("clippy");
-    board_clippy.args(["--lib", "--bins"]).args(STRICT);
-    let mut plain_clippy = tools.board.board_library_cargo("clippy");
-    plain_clippy.args(STRICT);
     let mut tests = command("cargo");
     tests.args(["test", "--workspace", "--no-run"]);
     vec![
-        ("format", fmt),
-        ("clippy, host", clippy),
-        ("clippy, board", board_clippy),
-        ("clippy, no log", plain_clippy),
-        ("tests, built", tests),
+        runs("format", fmt),
+        gate("words", words::run),
+        gate("circles", circles::run),
+        runs("clippy, host", clippy),
+        runs("tests, built", tests),
     ]
+}
+
+/// What is built in the board's directory, or in one of its own.
+fn board_builds(tools: Tools) -> Vec<Gate> {
+    let mut clippy = tools.board.board_cargo("clippy");
+    clippy.args(["--lib", "--bins"]).args(STRICT);
+    let mut plain_clippy = tools.board.board_library_cargo("clippy");
+    plain_clippy.args(STRICT);
+    vec![
+        runs("clippy, board", clippy),
+        runs("clippy, no log", plain_clippy),
+        gate("crate outside", move || outside::gate(tools)),
+        gate("fuzzing", fuzz::gate),
+    ]
+}
+
+/// The board's images, with a `host-sim` that was built with the tests.
+fn images(tools: Tools) -> Vec<Gate> {
+    let mut firmware = tools.board.board_cargo("build");
+    firmware.arg("--bins");
+    vec![
+        gate("7 and 8 joints", move || {
+            let host_sim = shell::root().join("target/debug/host-sim");
+            arm::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
+        }),
+        // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
+        runs("firmware", firmware),
+        gate("linked firmware", || {
+            let names = [cost::JOINT, cost::DRIVE, cost::CAN];
+            cost::check_firmware(&toolchain::elves(), &names)
+        }),
+        gate("library for C", move || {
+            capi::bring_compiler()?;
+            capi::build(tools)
+        }),
+    ]
+}
+
+/// The documentation of every package.
+fn documents() -> Vec<Gate> {
+    // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
+    let mut docs = command("cargo");
+    docs.args(["doc", "--workspace", "--no-deps"])
+        .args(["--lib", "--bins", "--examples"])
+        .env("RUSTDOCFLAGS", "-D warnings");
+    vec![runs("docs", docs)]
 }
 
 fn pass(name: &'static str, gate: impl FnOnce() -> Result<()>) -> Outcome {

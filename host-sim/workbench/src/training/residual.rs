@@ -170,9 +170,12 @@ fn descend(
                 if jacobian[r] == 0.0 {
                     continue;
                 }
-                slope[r] += row.weight * jacobian[r] * error;
-                for c in 0..=r {
-                    normal[(r, c)] += row.weight * jacobian[r] * jacobian[c];
+                let weighted = row.weight * jacobian[r];
+                slope[r] += weighted * error;
+                // Whole columns, which are contiguous, cost less than a triangle.
+                let mut above = normal.column_mut(r);
+                for (sum, other) in above.as_mut_slice().iter_mut().zip(&jacobian) {
+                    *sum += weighted * other;
                 }
             }
         }
@@ -180,7 +183,7 @@ fn descend(
             slope[k] += DECAY * weight;
             normal[(k, k)] += DECAY;
         }
-        normal.fill_upper_triangle_with_lower_triangle();
+        normal.fill_lower_triangle_with_upper_triangle();
         loop {
             let mut damped = normal.clone();
             for k in 0..size {
