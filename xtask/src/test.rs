@@ -112,7 +112,7 @@ fn side_by_side(lanes: [Vec<Gate>; 2]) -> Vec<Outcome> {
 /// Options of a lint, to refuse what it finds.
 const STRICT: [&str; 3] = ["--", "-D", "warnings"];
 
-/// What is built in the host's directory, the cheapest first.
+/// Builds in the host's directory, the cheapest first.
 fn host_builds(tools: Tools) -> Vec<Gate> {
     let mut fmt = tools.host.tool("cargo");
     fmt.args(["fmt", "--all", "--check"]);
@@ -131,7 +131,7 @@ fn host_builds(tools: Tools) -> Vec<Gate> {
     ]
 }
 
-/// What is built in the board's directory, or in one of its own.
+/// Builds in the board's directory, or in one of their own.
 fn board_builds(tools: Tools) -> Vec<Gate> {
     let mut clippy = tools.board.board_cargo("clippy");
     clippy.args(["--lib", "--bins"]).args(STRICT);

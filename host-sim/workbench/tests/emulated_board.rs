@@ -165,7 +165,7 @@ fn a_file_that_is_no_firmware_is_reported() {
 fn no_learning_sample_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
     // A board paced by its timer runs some twenty ticks for each sample that reaches it from here, one each millisecond of
     // its own time: there the learner has to be fast enough. Where the link paces the answer waits for it.
-    for (pacing, samples) in [(Pacing::Link, 1500), (Pacing::SysTick, 100)] {
+    for (pacing, samples) in [(Pacing::Link, 700), (Pacing::SysTick, 100)] {
         let mut client = client(Image::Joint);
         client.set_timeout(PATIENCE);
         let configuration = Configuration {

@@ -39,11 +39,11 @@ impl Lengths {
         times: 200,
         saves: 20_000,
     };
-    /// Ten seconds of each kind, and what the store needs to fill and erase both sectors again and again.
+    /// Six seconds of each kind, and what the store needs to fill and erase both sectors again and again.
     pub const SHORT: Self = Self {
-        native_s: 10,
-        bulk_s: 10,
-        usart_ticks: 60,
+        native_s: 6,
+        bulk_s: 6,
+        usart_ticks: 40,
         times: 10,
         saves: 3000,
     };
