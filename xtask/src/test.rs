@@ -54,7 +54,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
 
     // Each lane has directories of its own, so that no build waits for another one.
     outcomes.extend(side_by_side([host_builds(tools), board_builds(tools)]));
-    // Linking an image takes one core.
+    // Linking an image takes one core: the other one has the docs.
     outcomes.extend(side_by_side([images(tools), documents()]));
     // After the builds, because the tests run the board's ELF files.
     let mut counts = Counts::default();
@@ -112,7 +112,7 @@ fn side_by_side(lanes: [Vec<Gate>; 2]) -> Vec<Outcome> {
 /// Options of a lint, to refuse what it finds.
 const STRICT: [&str; 3] = ["--", "-D", "warnings"];
 
-/// Builds in the host's directory, the cheapest first.
+/// Checks of the source, and builds in the host's directory, the cheapest first.
 fn host_builds(tools: Tools) -> Vec<Gate> {
     let mut fmt = tools.host.tool("cargo");
     fmt.args(["fmt", "--all", "--check"]);

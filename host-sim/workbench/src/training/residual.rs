@@ -172,9 +172,9 @@ fn descend(
                 }
                 let weighted = row.weight * jacobian[r];
                 slope[r] += weighted * error;
-                // Whole columns, which are contiguous, cost less than a triangle.
-                let mut above = normal.column_mut(r);
-                for (sum, other) in above.as_mut_slice().iter_mut().zip(&jacobian) {
+                // Whole columns are contiguous. nalgebra's `ger` takes longer: it does not leave out inactive units.
+                let mut column = normal.column_mut(r);
+                for (sum, other) in column.as_mut_slice().iter_mut().zip(&jacobian) {
                     *sum += weighted * other;
                 }
             }

@@ -118,8 +118,8 @@ fn six_drives_follow_a_board_three_times_better_with_its_torque() {
 
 #[test]
 fn the_emulated_master_sends_the_bits_of_its_twin() {
-    // The rate is data of the board, and at this one it has half the ticks to emulate.
-    let rate_hz = 500.0;
+    // Of both rates, the one that leaves a tick less time.
+    let rate_hz = 1000.0;
     let wiring = wiring(&profile(rate_hz), Role::Master);
     let expected = ride(Twin::new(&wiring), rate_hz, 0.4, true);
     let seen = ride(Emulated::start("master", Some(&wiring)), rate_hz, 0.4, true);
