@@ -7,7 +7,8 @@ use super::trainer::TrainerConfig;
 use crate::arm::{Arm, ArmModel, table};
 use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
 
-/// Time in which friction changes by its prior standard deviation with temperature, grease and wear, s: 17 hours.
+/// Time in which friction as large as its prior standard deviation changes by that with temperature, grease and wear, s:
+/// 17 hours.
 const FRICTION_CHANGE_S: f32 = 6e4;
 
 /// Length of a sample of the motion filter, s.
@@ -38,7 +39,8 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     /// Time over which residuals are correlated at most, s: tenths of a second on real arms. Length of a block of rows that
     /// counts as one observation.
     pub correlation_s: f32,
-    /// Process noise of friction for each row of the joint, in units of the prior variance.
+    /// Process noise of a friction parameter for each row of the joint, in units of the prior variance, if its mean square
+    /// E\[p²\] is at least that variance; in proportion to E\[p²\] below. That of an offset is constant.
     pub process_noise: f32,
     /// Largest torque change of any joint by a newly published set, in units of the torque limit.
     pub torque_step: f32,

@@ -1,7 +1,8 @@
 mod bounds;
 mod correlation;
+mod variance;
 
-use super::conditioning::{AVERAGED, ConditionedSample};
+use super::conditioning::ConditionedSample;
 use super::config::LearnerConfig;
 use super::parameters::{JointEntries, LinearParameters, ParameterSet};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
@@ -9,31 +10,14 @@ use super::start_deviations::StartDeviations;
 use super::ud::UdFilter;
 use crate::arm::Arm;
 use crate::dynamics::{
-    FRICTION_COLUMNS, Pose, RANDOM_WALK_COLUMNS, friction_row, regressor_row_at,
+    FRICTION_COLUMNS, FrictionBound, Pose, RANDOM_WALK_COLUMNS, friction_row, regressor_row_at,
 };
 use crate::joint::{JointMotion, JointVector};
 use crate::limits::cut;
 use crate::math::sqrt;
 use bounds::{BOUNDED, Violation};
 use correlation::NoiseCorrelation;
-
-/// Square of the median of |z| for a normal z, at which the measured variance settles.
-const MEDIAN_SQUARED: f32 = 0.6745 * 0.6745;
-/// Growth of a joint's variance for an innovation above the median; below, it shrinks as much. Memory: 1.2 s at 167 rows a
-/// second.
-const VARIANCE_STEP: f32 = 1.005;
-/// Range of the variance, in units of the configured one.
-const VARIANCE_RANGE: (f32, f32) = (0.02, 400.0);
-/// Initial variance: fifty times that of a mean of white noise. Real wrists scatter by 4 to 12 % of their limits, and an
-/// overweighted first row stays in the covariance.
-const FIRST_VARIANCE: f32 = 50.0 / AVERAGED as f32;
-/// Gain of the first steps of the variance, divided by the number of rows: `1 / (2 φ(m) m)` with m = 0.6745 finds the
-/// median of a normal z in the fewest rows [Robbins and Monro 1951].
-const VARIANCE_GAIN: f32 = 2.3;
-/// Rows after which the step of the variance is [`VARIANCE_STEP`].
-const EFFECTIVE_ROWS: f32 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
-/// Weight of the initial variance, rows.
-const FIRST_ROWS: f32 = 4.0;
+use variance::{FIRST_ROWS, FIRST_VARIANCE, MEDIAN_SQUARED, update_variance};
 
 /// Prior factors added in one tick after a reset; all are added before the measurement window is full.
 const FACTORS_PER_TICK: usize = 3;
@@ -95,7 +79,7 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction, scaled by the
 ///   [`StartDeviations`] of the set
 /// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
-///   Nothing is forgotten exponentially
+///   Friction changes by a part of itself, so the noise is in proportion to E[p²]. Nothing is forgotten exponentially
 /// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
 /// * ρ: [`noise_inflation`](LearnerConfig::noise_inflation); the update of P has ρ R in place of R
 /// * k: innovations beyond it count as k [Huber 1964]
@@ -265,10 +249,18 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             return None;
         }
         let turn = self.random_walk_turn.get_mut(joint)?;
-        let column = *RANDOM_WALK_COLUMNS.get(*turn)? as usize;
-        if self.filter.friction_variance(joint, column)? < 1.0 {
-            let noise = RANDOM_WALK_COLUMNS.len() as f32 * config.process_noise;
-            self.filter.add_process_noise(joint, column, noise);
+        let column = *RANDOM_WALK_COLUMNS.get(*turn)?;
+        let (own, place) = (sigma.friction.get(joint)?, column as usize);
+        let variance = self.filter.friction_variance(joint, place)?;
+        if variance < 1.0 {
+            let mean = self.parameters.friction.get(joint)?.get(place)? / own.get(place)?;
+            // No friction stays none, but the zero of a sensor drifts whatever it is.
+            let square = match column.properties().bound {
+                FrictionBound::None => 1.0,
+                _ => (mean * mean + variance).min(1.0),
+            };
+            let noise = RANDOM_WALK_COLUMNS.len() as f32 * config.process_noise * square;
+            self.filter.add_process_noise(joint, place, noise);
         }
         *turn = (*turn + 1) % RANDOM_WALK_COLUMNS.len();
         let mut phi = *row;
@@ -277,7 +269,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
                 *phi *= sigma * inv_noise;
             }
         };
-        scale(&mut phi.own, sigma.friction.get(joint)?);
+        scale(&mut phi.own, own);
         scale(&mut phi.rigid, &sigma.rigid);
         let mut gain = LinearParameters::filled(0.0);
         let correlation = self.correlation.get_mut(joint)?;
@@ -372,28 +364,6 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             self.filter.add_friction_gain(joint, &direction, gain);
         }
     }
-}
-
-/// Update of the `measured` variance of a joint by one innovation.
-///
-/// * `variance` its expected variance      * `beyond` true if it exceeds the median
-#[inline(always)]
-fn update_variance(measured: &mut f32, effective_rows: &mut f32, variance: f32, beyond: bool) {
-    let step = if *effective_rows < EFFECTIVE_ROWS {
-        // Only the noise part of an innovation is evidence of noise.
-        let noise_part = *measured / variance;
-        *effective_rows += noise_part;
-        1.0 + VARIANCE_GAIN * noise_part / *effective_rows
-    } else {
-        VARIANCE_STEP
-    };
-    let (lower, upper) = VARIANCE_RANGE;
-    let next = if beyond {
-        *measured * step
-    } else {
-        *measured / step
-    };
-    *measured = next.clamp(lower, upper);
 }
 
 #[cfg(test)]

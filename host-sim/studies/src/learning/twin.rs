@@ -4,7 +4,9 @@ use super::PERIOD_S;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 pub(super) use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P};
-use foretorque::dynamics::{DISSIPATION_BOUNDS, FRICTION_COLUMNS, RANDOM_WALK_COLUMNS};
+use foretorque::dynamics::{
+    DISSIPATION_BOUNDS, FRICTION_COLUMNS, FrictionColumn, RANDOM_WALK_COLUMNS,
+};
 use foretorque::feedforward::ParameterSet;
 use foretorque::joint::JointSample;
 use foretorque::learning::{
@@ -90,9 +92,16 @@ impl Twin {
         let phi = raw.component_mul(&self.sigma) / unit;
         let turn = &mut self.wandering[joint];
         let columns = RANDOM_WALK_COLUMNS.len();
-        let k = joint * FRICTION_COLUMNS + RANDOM_WALK_COLUMNS[*turn] as usize;
-        if self.covariance[(k, k)] < 1.0 {
-            self.covariance[(k, k)] += columns as f64 * f64::from(self.config.process_noise);
+        let column = RANDOM_WALK_COLUMNS[*turn];
+        let k = joint * FRICTION_COLUMNS + column as usize;
+        let held = self.covariance[(k, k)];
+        if held < 1.0 {
+            let share = match column {
+                FrictionColumn::Offset => 1.0,
+                _ => ((value[k] / self.sigma[k]).powi(2) + held).min(1.0),
+            };
+            let noise = columns as f64 * f64::from(self.config.process_noise);
+            self.covariance[(k, k)] += noise * share;
         }
         *turn = (*turn + 1) % columns;
         let spread = &self.covariance * &phi;

@@ -1,8 +1,10 @@
+use super::variance::EFFECTIVE_ROWS;
 use super::*;
 use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use crate::dynamics::DISSIPATION_BOUNDS;
 use crate::dynamics::{FrictionColumn, FrictionParameters};
 use crate::joint::{JointMotion, JointVector};
+use crate::learning::conditioning::AVERAGED;
 use crate::learning::parameters::dot;
 use core::array::from_fn;
 use std::vec::Vec;
@@ -30,10 +32,15 @@ impl Twin {
         factor: f64,
     ) {
         let turn = self.visits[joint] % RANDOM_WALK_COLUMNS.len();
-        let k = WIDTH * joint + RANDOM_WALK_COLUMNS[turn] as usize;
+        let column = RANDOM_WALK_COLUMNS[turn];
+        let k = WIDTH * joint + column as usize;
         self.visits[joint] += 1;
         if self.p[k][k] < 1.0 {
-            self.p[k][k] += RANDOM_WALK_COLUMNS.len() as f64 * process_noise;
+            let mean = self.start[k] / self.sigma[k] + self.theta[k];
+            let offset = column == FrictionColumn::Offset;
+            let square = (mean * mean + self.p[k][k]).min(1.0);
+            let square = if offset { 1.0 } else { square };
+            self.p[k][k] += RANDOM_WALK_COLUMNS.len() as f64 * process_noise * square;
         }
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
@@ -316,5 +323,52 @@ fn friction_at_its_bound_leaves_correlated_columns_in_place() {
         }
         std::println!("Coulomb torque up to {worst:.4} of the limit");
         assert!(worst < 0.02, "{worst}");
+    }
+}
+
+#[test]
+fn no_friction_stays_none_and_an_offset_drifts() {
+    let config = LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3);
+    let limit = Ur5::LIMITS[0].torque;
+    // Growth of the variances of joint 0 in 500 rows that tell nothing, in the process noise of all columns.
+    let growth = |friction: FrictionParameters| {
+        let mut estimator = Estimator::<N, P>::new::<Ur5>(&ParameterSet::nominal::<Ur5>(1));
+        let mut random = 5;
+        for tick in (0..60_000).step_by(N) {
+            let (row, tau) = row_and_torque(tick, 0, &mut random);
+            let tau = tau + dot(&row.friction[0], &friction.0)
+                - dot(&row.friction[0], &friction_truth().0);
+            assert!(estimator.correct(&config, 0, limit, &row, tau).is_some());
+        }
+        let variances = |estimator: &Estimator<N, P>| {
+            [FrictionColumn::Coulomb, FrictionColumn::Offset].map(|column| {
+                estimator
+                    .filter()
+                    .friction_variance(0, column as usize)
+                    .unwrap()
+            })
+        };
+        let before = variances(&estimator);
+        let config = LearnerConfig {
+            process_noise: 1e-4,
+            ..config
+        };
+        let nothing = LinearParameters::filled(0.0);
+        for _ in 0..500 {
+            assert!(
+                estimator
+                    .correct(&config, 0, limit, &nothing, 0.0)
+                    .is_some()
+            );
+        }
+        let after = variances(&estimator);
+        from_fn::<f32, 2, _>(|k| (after[k] - before[k]) / (500.0 * config.process_noise))
+    };
+    let prior = config.sigma.friction[0][FrictionColumn::Coulomb as usize];
+    for (part, expected) in [(0.0, 0.0), (0.6, 0.36), (2.0, 1.0)] {
+        let [coulomb, offset] =
+            growth(FrictionParameters::NONE.with(FrictionColumn::Coulomb, part * prior));
+        assert!((coulomb - expected).abs() < 0.1, "{part}: {coulomb}");
+        assert!((offset - 1.0).abs() < 0.01, "{part}: {offset}");
     }
 }
