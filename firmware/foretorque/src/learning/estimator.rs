@@ -254,7 +254,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let variance = self.filter.friction_variance(joint, place)?;
         if variance < 1.0 {
             let mean = self.parameters.friction.get(joint)?.get(place)? / own.get(place)?;
-            // Friction that is none stays none; the zero of a sensor drifts whatever it is.
+            // Friction changes by a part of itself; a column that does not dissipate, a sensor's zero, by as much at any value.
             let square = match column.properties().bound {
                 FrictionBound::None => 1.0,
                 _ => (mean * mean + variance).min(1.0),

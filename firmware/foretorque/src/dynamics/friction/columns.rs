@@ -70,7 +70,8 @@ pub struct FrictionProperties {
     pub prior: FrictionPrior,
     /// Sign constraint.
     pub bound: FrictionBound,
-    /// Changes with temperature, grease and wear: the estimator adds process noise.
+    /// Changes with temperature, grease and wear: the estimator adds process noise, in proportion to the mean square of the
+    /// parameter if it has a bound.
     pub random_walk: bool,
     /// Periodic in the position; only on joints with cogging cycles.
     pub cogging: bool,
