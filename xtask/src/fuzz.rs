@@ -13,8 +13,6 @@ use crate::shell::{self, capture, command, root};
 
 /// Executions in all by default.
 pub(crate) const RUNS: u64 = 100_000_000;
-/// Executions in all as a gate of `test`.
-const SHORT: u64 = 100_000;
 /// Instrumentation for libFuzzer: counters of edges, a table of their places, and the operands of comparisons.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
                         -Cllvm-args=-sanitizer-coverage-inline-8bit-counters \
@@ -62,7 +60,7 @@ struct Outcome {
 /// Sets up, fuzzes, prints a table and writes target/foretorque/fuzz.json.
 pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     setup::run(forced)?;
-    let outcomes = fuzz("release", runs)?;
+    let outcomes = fuzz(runs)?;
     let mut json = String::from("{\"targets\": [");
     println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
     for (place, outcome) in outcomes.iter().enumerate() {
@@ -85,19 +83,8 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     fs::write(root().join("target/foretorque/fuzz.json"), json)?;
     let sum: u64 = outcomes.iter().map(|outcome| outcome.executions).sum();
     println!("{:<10} {sum:>12}", "all");
-    check(&outcomes)
-}
-
-/// A short run, the same every time, of code that compiles faster and runs slower.
-pub(crate) fn gate() -> Result<()> {
-    check(&fuzz("short", SHORT)?)
-}
-
-fn check(outcomes: &[Outcome]) -> Result<()> {
-    let found: Vec<&str> = outcomes
-        .iter()
-        .filter_map(|outcome| outcome.found.as_deref())
-        .collect();
+    let found = outcomes.iter().filter_map(|it| it.found.as_deref());
+    let found: Vec<&str> = found.collect();
     if !found.is_empty() {
         bail!("inputs that break a promise: {}", found.join("; "));
     }
@@ -128,8 +115,8 @@ fn corpus(name: &str) -> PathBuf {
     root().join(HOME).join("corpus").join(name)
 }
 
-/// Builds the targets with `profile` and fuzzes all of them, `runs` executions in all.
-fn fuzz(profile: &'static str, runs: u64) -> Result<Vec<Outcome>> {
+/// Builds the targets and fuzzes all of them, `runs` executions in all.
+fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     setup::bring_program("c++", "g++").context("libFuzzer needs a C++ compiler")?;
     unpack()?;
     let host = capture(command("rustc").arg("-vV")).context("rustc reports no version")?;
@@ -138,8 +125,8 @@ fn fuzz(profile: &'static str, runs: u64) -> Result<Vec<Outcome>> {
     let mut build = command("cargo");
     // With a target named, the flags are for the code that is fuzzed and not for what builds it.
     build
-        .args(["build", "--profile", profile])
-        .args(["--manifest-path", "tests/fuzz/Cargo.toml"])
+        .args(["build", "--release"])
+        .args(["--manifest-path", "tests/fuzz/engine/Cargo.toml"])
         .args(["--target-dir", "target/fuzz", "--target", &host])
         .env("RUSTFLAGS", COVERAGE);
     for target in LANES.iter().copied().flatten() {
@@ -147,7 +134,7 @@ fn fuzz(profile: &'static str, runs: u64) -> Result<Vec<Outcome>> {
     }
     shell::run(&mut build)?;
     let lanes = LANES.each_ref().map(|lane| {
-        let programs = format!("target/fuzz/{host}/{profile}");
+        let programs = format!("target/fuzz/{host}/release");
         thread::spawn(move || {
             let targets = lane.iter();
             targets

@@ -12,7 +12,6 @@ use foretorque_cost as cost;
 use crate::arm;
 use crate::capi;
 use crate::circles;
-use crate::fuzz;
 use crate::outside;
 use crate::setup::{self, Way};
 use crate::shell::{self, command, line};
@@ -141,7 +140,6 @@ fn board_builds(tools: Tools) -> Vec<Gate> {
         runs("clippy, board", clippy),
         runs("clippy, no log", plain_clippy),
         gate("crate outside", move || outside::gate(tools)),
-        gate("fuzzing", fuzz::gate),
     ]
 }
 

@@ -8,7 +8,7 @@ mod flash;
 mod seeds;
 
 pub use drives::drives;
-pub use seeds::plant;
+pub use seeds::{plant, seeds};
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use flash::TinyFlash;

@@ -17,7 +17,7 @@ pub fn plant(target: &str) {
 }
 
 /// First inputs of a target: valid ones, made from the current types.
-fn seeds(target: &str) -> Vec<Vec<u8>> {
+pub fn seeds(target: &str) -> Vec<Vec<u8>> {
     let banks = [
         bytes(&ParameterBank::nominal::<Ur5, 6, 40>()),
         bytes(&ParameterBank::nominal::<Panda, 7, 48>()),

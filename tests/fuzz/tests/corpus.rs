@@ -1,0 +1,89 @@
+//! Every committed input of the fuzzer, the seeds, and inputs near them: the promises hold, the same way in every run.
+
+use flate2::read::GzDecoder;
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use std::io::Read as _;
+
+/// Inputs of one target, packed in an archive of all.
+fn inputs(target: &str) -> Vec<Vec<u8>> {
+    let packed = GzDecoder::new(&include_bytes!("../corpus.tar.gz")[..]);
+    let mut archive = tar::Archive::new(packed);
+    let entries = archive.entries().expect("the archive is whole");
+    let mut inputs = fuzz::seeds(target);
+    for entry in entries {
+        let mut entry = entry.expect("the archive is whole");
+        let path = entry.path().expect("names are text").into_owned();
+        if entry.header().entry_type().is_file() && path.starts_with(format!("corpus/{target}")) {
+            let mut input = Vec::new();
+            entry.read_to_end(&mut input).expect("the archive is whole");
+            inputs.push(input);
+        }
+    }
+    inputs
+}
+
+/// Numbers that a check may forget.
+const NUMBERS: [f32; 6] = [f32::NAN, f32::INFINITY, f32::MAX, -1.0, 0.0, 1e-40];
+
+/// Up to eight changes of `input`: a byte, a bit, a number, a piece left out, or a piece repeated.
+fn change(input: &mut Vec<u8>, random: &mut ChaCha8Rng) {
+    for _ in 0..random.random_range(1..=8) {
+        if input.is_empty() {
+            input.push(0);
+        }
+        let place = random.random_range(0..input.len());
+        let end = input.len().min(place + random.random_range(1..=16));
+        match random.random_range(0..5) {
+            0 => input[place] = random.random(),
+            1 => input[place] ^= 1 << random.random_range(0..8),
+            2 => drop(input.drain(place..end)),
+            3 => {
+                let number = NUMBERS[random.random_range(0..NUMBERS.len())].to_le_bytes();
+                let room = input[place..].iter_mut();
+                room.zip(number).for_each(|(byte, new)| *byte = new);
+            }
+            _ => input.extend_from_within(place..end),
+        }
+    }
+}
+
+/// Passes every input and `executions` changed ones to a target, which panics where a promise is broken.
+fn attack(name: &str, executions: usize) {
+    let target = fuzz::target(name).expect("a target of this name");
+    let inputs = inputs(name);
+    assert!(!inputs.is_empty());
+    inputs.iter().for_each(|input| target(input));
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    for input in inputs.iter().cycle().take(executions) {
+        let mut changed = input.clone();
+        change(&mut changed, &mut random);
+        let broken = std::panic::catch_unwind(|| target(&changed)).is_err();
+        assert!(!broken, "{name} breaks a promise after {changed:02x?}");
+    }
+}
+
+#[test]
+fn the_decoder_stays_in_step_whatever_bytes_come() {
+    attack("decoder", 450_000);
+}
+
+#[test]
+fn a_bank_that_is_read_is_usable_and_is_written_the_same() {
+    attack("bank", 400_000);
+}
+
+#[test]
+fn a_session_keeps_its_promises_whatever_frames_and_periods_come() {
+    attack("session", 20_000);
+}
+
+#[test]
+fn a_store_loads_whole_parameters_or_none() {
+    attack("store", 30_000);
+}
+
+#[test]
+fn drives_refuse_what_is_no_reply() {
+    attack("drives", 100_000);
+}
