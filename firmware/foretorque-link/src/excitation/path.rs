@@ -1,5 +1,5 @@
 use super::MotionBounds;
-use crate::division::div_u64_by_u32;
+use crate::div_u64_by_u32;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::math::{sin_cos, sqrt};
 use serde::{Deserialize, Serialize};

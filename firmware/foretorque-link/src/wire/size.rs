@@ -1,6 +1,6 @@
 //! Wire sizes of the cyclic frames, and the capacity of the link that carries them.
 
-use crate::division::div_u64_by_u32;
+use crate::div_u64_by_u32;
 
 /// Version, sequence number and message tag, bytes.
 pub const HEADER: usize = 4;
