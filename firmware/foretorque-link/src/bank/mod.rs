@@ -10,6 +10,7 @@ use core::fmt;
 use foretorque::arm::{Arm, LINK_PARAMETERS, most_parameters};
 pub use foretorque::dynamics::MAX_JOINTS;
 use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn};
+use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
 use heapless::Vec;
 use postcard::ser_flavors::Slice;
 use postcard::ser_flavors::crc::CrcModifier;
@@ -214,6 +215,30 @@ pub struct JointBounds {
     pub network_share: f32,
 }
 
+impl JointBounds {
+    /// Zeros, before any bank.
+    const ZERO: Self = Self {
+        torque_nm: 0.0,
+        slew_nm_s: 0.0,
+        network_share: 0.0,
+    };
+
+    /// Limits of this firmware, which a bank may only tighten.
+    pub(crate) fn widest<A: Arm<N, P>, const N: usize, const P: usize>() -> [Self; N] {
+        // The largest change in a tick of one second.
+        let slew = FeedForwardConfig::<N>::for_arm::<A, P>(1.0).slew_per_tick;
+        let mut bounds = [Self::ZERO; N];
+        for (bounds, (limits, &slew_nm_s)) in bounds.iter_mut().zip(A::limits().iter().zip(&slew)) {
+            *bounds = Self {
+                torque_nm: limits.torque,
+                slew_nm_s,
+                network_share: NETWORK_BOUND,
+            };
+        }
+        bounds
+    }
+}
+
 /// All parameters of one arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ParameterBank {
@@ -233,13 +258,6 @@ pub struct ParameterBank {
     pub weights: Vec<f32, MAX_WEIGHTS>,
     /// Limits of every joint.
     pub limits: Vec<JointBounds, MAX_JOINTS>,
-}
-
-impl ParameterBank {
-    /// The column with this identity.
-    pub fn column(&self, id: ColumnId) -> Option<&Column> {
-        self.columns.iter().find(|column| column.id == id)
-    }
 }
 
 errors! {
@@ -338,6 +356,11 @@ impl ParameterBank {
         let rest = list(&mut self.limits, rest)?;
         (self.arm_hash, self.arm, self.network) = (u32::from_le_bytes(arm_hash), arm, network);
         rest.is_empty().then_some(()).ok_or(BankError::Malformed)
+    }
+
+    /// The column with this identity.
+    pub fn column(&self, id: ColumnId) -> Option<&Column> {
+        self.columns.iter().find(|column| column.id == id)
     }
 
     /// An empty bank, for no arm.

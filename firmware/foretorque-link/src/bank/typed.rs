@@ -6,7 +6,7 @@ use crate::copy;
 use crate::wire::Name;
 use foretorque::arm::Arm;
 use foretorque::dynamics::{FRICTION_COLUMNS, Pose, friction_under, rnea_of};
-use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
+use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::{
     JointNetwork, LearnerConfig, LinearParameters, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
@@ -253,30 +253,6 @@ impl ParameterBank {
             gains,
             bounds,
         })
-    }
-}
-
-impl JointBounds {
-    /// Zeros, before any bank.
-    pub(super) const ZERO: Self = Self {
-        torque_nm: 0.0,
-        slew_nm_s: 0.0,
-        network_share: 0.0,
-    };
-
-    /// Limits of this firmware, which a bank may only tighten.
-    pub(crate) fn widest<A: Arm<N, P>, const N: usize, const P: usize>() -> [Self; N] {
-        // The largest change in a tick of one second.
-        let slew = FeedForwardConfig::<N>::for_arm::<A, P>(1.0).slew_per_tick;
-        let mut bounds = [Self::ZERO; N];
-        for (bounds, (limits, &slew_nm_s)) in bounds.iter_mut().zip(A::limits().iter().zip(&slew)) {
-            *bounds = Self {
-                torque_nm: limits.torque,
-                slew_nm_s,
-                network_share: NETWORK_BOUND,
-            };
-        }
-        bounds
     }
 }
 
