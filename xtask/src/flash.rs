@@ -13,7 +13,6 @@ use ihex::Record;
 use crate::runs::ELF_COPY;
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command, shown};
-use crate::toolchain;
 
 /// Where the images go, from the workspace's root.
 const OUT: &str = "target/foretorque/flash";
@@ -63,7 +62,7 @@ pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result
     let tools = setup::run(forced)?;
     let mut firmware = tools.board.board_cargo("build");
     shell::run(firmware.args(["--bin", board.0]))?;
-    let elf = toolchain::elf(board.0);
+    let elf = shell::elf(board.0);
     let bytes = shell::read(&elf)?;
     let mut sealed = bytes.clone();
     write_images(&seal(&mut sealed)?, board.0)?;

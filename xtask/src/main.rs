@@ -1,7 +1,5 @@
 //! Set-up, demo, bench and test of foretorque in one command each.
 
-mod arm;
-mod capi;
 mod circles;
 mod flash;
 mod fuzz;
@@ -10,7 +8,6 @@ mod runs;
 mod setup;
 mod shell;
 mod test;
-mod toolchain;
 mod words;
 
 use std::num::NonZeroU64;
@@ -150,7 +147,7 @@ fn run(request: &Request) -> Result<()> {
     let forced = request.toolchain;
     match request.command.as_str() {
         "setup" if request.check => setup::check(forced),
-        "setup" => setup::run(forced).and_then(|_| capi::bring_compiler()),
+        "setup" => setup::run(forced).and_then(|_| outside::bring_compiler()),
         "demo" => runs::demo(forced),
         "test" => test::run(forced),
         "bench" => runs::bench(forced, request.accept),
@@ -158,10 +155,10 @@ fn run(request: &Request) -> Result<()> {
         "fuzz" => fuzz::run(forced, request.runs.unwrap_or(fuzz::RUNS)),
         "flash" => flash::run(forced, request.board, request.image),
         "arm" => match (&request.urdf, &request.name) {
-            (Some(urdf), Some(name)) => arm::run(forced, urdf, name, &request.selection),
+            (Some(urdf), Some(name)) => runs::arm(forced, urdf, name, &request.selection),
             _ => anyhow::bail!("`cargo xtask arm` needs --urdf FILE and --name NAME"),
         },
-        "capi" => capi::run(forced),
+        "capi" => outside::capi(forced),
         "words" => words::run(),
         "circles" => circles::run(),
         // A package of its own: the parser of Rust must not delay the other commands.

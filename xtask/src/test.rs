@@ -9,14 +9,12 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail};
 use foretorque_cost as cost;
 
-use crate::arm;
-use crate::capi;
 use crate::circles;
 use crate::fuzz;
 use crate::outside;
+use crate::runs;
 use crate::setup::{self, Way};
-use crate::shell::{self, command, line};
-use crate::toolchain::{self, Tools};
+use crate::shell::{self, Tools, command, line};
 use crate::words;
 
 /// Result of a gate.
@@ -152,17 +150,17 @@ fn images(tools: Tools) -> Vec<Gate> {
     vec![
         gate("7 and 8 joints", move || {
             let host_sim = shell::root().join("target/debug/host-sim");
-            arm::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
+            runs::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
         }),
         // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
         runs("firmware", firmware),
         gate("linked firmware", || {
             let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-            cost::check_firmware(&toolchain::elves(), &names)
+            cost::check_firmware(&shell::elves(), &names)
         }),
         gate("library for C", move || {
-            capi::bring_compiler()?;
-            capi::build(tools)
+            outside::bring_compiler()?;
+            outside::build_capi(tools)
         }),
     ]
 }

@@ -4,7 +4,6 @@
 //! the FPU; load pipelining from section 3.3.3. A branch refills the pipeline in 2 cycles; loads are pipelined unless an
 //! address waits for the load before; a float result that is used at once costs one cycle. Memory has no wait states.
 
-use crate::step::Step;
 use crate::thumb::{Class, Flow, Instruction, Registers};
 
 const REFILL: u64 = 2;
@@ -25,10 +24,10 @@ impl Model {
         self.spent
     }
 
-    /// Executes `instruction`; control goes on at `next`.
-    pub(crate) fn execute(&mut self, instruction: &Instruction, step: &Step, next: u32) {
-        let failed = step.condition_failed();
-        let taken = next != step.pc() + instruction.size;
+    /// Executes `instruction`.
+    ///
+    /// * `failed` its condition does not hold      * `taken` control does not go on behind it
+    pub(crate) fn execute(&mut self, instruction: &Instruction, failed: bool, taken: bool) {
         let single = !failed && !taken && is_single(instruction);
         let mut estimate = if failed { 1 } else { cost(instruction, taken) };
         let free = |written: Registers| single && !written.meets(instruction.reads);
@@ -94,12 +93,8 @@ mod tests {
     /// Cycle estimate of instructions one after another, none of them a branch, in RAM.
     fn estimate(code: &[(u16, u16)]) -> u64 {
         let mut model = Model::default();
-        let mut address = 0x2000_0000;
         for &(first, second) in code {
-            let instruction = decode(address, first, second);
-            let step = Step::at(address);
-            address += instruction.size;
-            model.execute(&instruction, &step, address);
+            model.execute(&decode(0x2000_0000, first, second), false, false);
         }
         model.spent()
     }

@@ -12,8 +12,6 @@ mod image;
 mod memory;
 mod report;
 mod row;
-mod spread;
-mod step;
 mod thumb;
 mod trace;
 
@@ -23,10 +21,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 
 use budget::{Budget, Measured};
+use emulator::{PERMILLE_LIMIT, Spread};
 use image::Image;
 use memory::Memory;
 use row::Row;
-use spread::{PERMILLE_LIMIT, Spread};
 
 /// The firmware with a budget.
 pub const JOINT: &str = "joint";

@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 
 use crate::budget::{Budget, Line};
+use crate::emulator::{PERMILLE_LIMIT, Spread};
 use crate::memory::Memory;
 use crate::row::Row;
-use crate::spread::{PERMILLE_LIMIT, Spread};
 
 /// The table for the terminal.
 pub(crate) fn table(rows: &[Row], memory: &Memory, budget: &Budget) -> String {

@@ -4,10 +4,9 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
 
-use crate::emulator::{self, Counts};
+use crate::emulator::{self, Counts, Spread};
 use crate::image::Image;
 use crate::memory;
-use crate::spread::Spread;
 use crate::trace::Call;
 
 /// Calls of each row that are counted, and that are traced: enough for the turn of every joint.

@@ -6,7 +6,6 @@
 //! `named.txt`, and a sample of all changes of expressions and statements in the modules that limit torque. Constants and
 //! `const` functions take no switch; the named mutants change constants where they are used.
 
-mod judge;
 mod places;
 mod tree;
 
@@ -79,7 +78,7 @@ fn campaign(count: usize) -> Result<()> {
     for (mutant, name) in mutants.iter().zip(&names) {
         ensure!(mutant.is_some(), "mutant `{name}` does not compile");
     }
-    let judges = judge::all(&tree, &programs)?;
+    let judges = tree::judges(&tree, &programs)?;
     println!(
         "{} tests, ready after {:.0} s",
         judges.len(),
@@ -93,7 +92,7 @@ fn campaign(count: usize) -> Result<()> {
             Some(name) => name.clone(),
             None => mutant.label(),
         };
-        let killer = judge::killer(&judges, number)?;
+        let killer = tree::killer(&judges, number)?;
         println!(
             "{:>6.0} s {number:>4} {:<40} {label}",
             start.elapsed().as_secs_f64(),
