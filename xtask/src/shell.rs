@@ -1,5 +1,4 @@
-//! Running other programs: shown, captured, or bounded in time. None of them gets a standard input. And those of the board's
-//! toolchain: cargo, target, profile, packages.
+//! Other programs, without a standard input: shown, captured, or bounded in time; and the toolchain of the board among them.
 
 use std::fmt::Write as _;
 use std::fs;
