@@ -66,15 +66,10 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     let mut json = String::from("{\"targets\": [");
     println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
     for (place, outcome) in outcomes.iter().enumerate() {
-        let Outcome {
-            name,
-            executions,
-            per_second,
-            found,
-        } = outcome;
+        let (name, executions, per_second) = (outcome.name, outcome.executions, outcome.per_second);
         println!("{name:<10} {executions:>12} {per_second:>12}");
         let comma = if place == 0 { "" } else { ", " };
-        let crashes = u8::from(found.is_some());
+        let crashes = u8::from(outcome.found.is_some());
         write!(
             json,
             "{comma}{{\"name\": \"{name}\", \"executions\": {executions}, \"executions_per_s\": {per_second}, \

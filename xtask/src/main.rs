@@ -16,7 +16,6 @@ use std::process::ExitCode;
 use anyhow::Result;
 use lexopt::prelude::*;
 
-use flash::Board;
 use setup::Way;
 
 const HELP: &str = "\
@@ -87,7 +86,8 @@ struct Request {
     check: bool,
     accept: bool,
     image: bool,
-    board: Board,
+    /// Binary of the board to flash.
+    binary: Option<&'static str>,
     runs: Option<u64>,
     urdf: Option<String>,
     name: Option<String>,
@@ -112,7 +112,7 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long("check") => request.check = true,
             Long("accept") => request.accept = true,
             Long("image") => request.image = true,
-            Long("board") => request.board = args.value()?.parse()?,
+            Long("board") => request.binary = Some(args.value()?.parse_with(flash::binary)?),
             Long("runs") => {
                 let number = args.value()?.parse::<NonZeroU64>();
                 request.runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
@@ -153,7 +153,7 @@ fn run(request: &Request) -> Result<()> {
         "bench" => runs::bench(forced, request.accept),
         "faults" => runs::faults(forced, request.accept),
         "fuzz" => fuzz::run(forced, request.runs.unwrap_or(fuzz::RUNS)),
-        "flash" => flash::run(forced, request.board, request.image),
+        "flash" => flash::run(forced, request.binary, request.image),
         "arm" => match (&request.urdf, &request.name) {
             (Some(urdf), Some(name)) => runs::arm(forced, urdf, name, &request.selection),
             _ => anyhow::bail!("`cargo xtask arm` needs --urdf FILE and --name NAME"),
@@ -162,18 +162,18 @@ fn run(request: &Request) -> Result<()> {
         "words" => words::run(),
         "circles" => circles::run(),
         // A package of its own: the parser of Rust must not delay the other commands.
-        "mutants" => shell::run(
-            shell::command("cargo")
-                .args([
-                    "run",
-                    "--quiet",
-                    "--release",
-                    "-p",
-                    "foretorque-mutants",
-                    "--",
-                ])
-                .args(request.runs.map(|runs| runs.to_string())),
-        ),
+        "mutants" => {
+            let mut mutants = shell::command("cargo");
+            mutants.args([
+                "run",
+                "--quiet",
+                "--release",
+                "-p",
+                "foretorque-mutants",
+                "--",
+            ]);
+            shell::run(mutants.args(request.runs.map(|runs| runs.to_string())))
+        }
         _ => {
             print!("{HELP}");
             Ok(())
@@ -221,7 +221,7 @@ mod tests {
         demo.toolchain = Some(Way::Debian);
         assert_eq!(request("--toolchain=debian demo"), Ok(demo));
         let mut flash = command("flash");
-        (flash.board, flash.image) = ("pyboard".parse().unwrap(), true);
+        (flash.binary, flash.image) = (Some("joint-pyboard"), true);
         assert_eq!(request("flash --image --board pyboard"), Ok(flash));
         let mut fuzz = command("fuzz");
         fuzz.runs = Some(7);

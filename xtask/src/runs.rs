@@ -12,22 +12,15 @@ use crate::shell::{self, PROFILE, TARGET, Toolchain, capture, command};
 /// The flashable ELF that the demo emulated, kept beside its report for comparison with the one that is flashed.
 pub(crate) const ELF_COPY: &str = "target/foretorque/demo/joint.elf";
 
-/// Runs the optimised command line, built if it is not.
-fn run_host_sim(arguments: &str) -> Result<()> {
-    let mut program = command("cargo");
-    program.args(["run", "--quiet", "--release", "-p", "host-sim", "--"]);
-    shell::run(program.args(arguments.split(' ')))
-}
-
 /// Sets up, builds both sides, and runs the demo experiment on the board's ELF files.
 pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
     let start = Instant::now();
     let tools = setup::run(forced)?;
     let mut firmware = tools.board.board_cargo("build");
     shell::run(firmware.args(["--bin", "joint", "--bin", "bulk"]))?;
-    host_sim()?;
+    let mut host_sim = command(&host_sim()?.to_string_lossy());
     println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
-    run_host_sim("experiment demo --out target/foretorque/demo")?;
+    shell::run(host_sim.args(["experiment", "demo", "--out", "target/foretorque/demo"]))?;
     let elf = shell::elf("joint");
     let copied = fs::copy(&elf, shell::root().join(ELF_COPY))
         .with_context(|| format!("cannot copy {}", elf.display()))?;
@@ -43,10 +36,10 @@ pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
 pub(crate) fn faults(forced: Option<Way>, accept: bool) -> Result<()> {
     let tools = setup::run(forced)?;
     shell::run(tools.board.board_cargo("build").arg("--bins"))?;
-    let accept = if accept { " --accept" } else { "" };
-    run_host_sim(&format!(
-        "faults --out target/foretorque/faults.json --snapshot tests/snapshots/faults.txt{accept}"
-    ))
+    let mut faults = command(&host_sim()?.to_string_lossy());
+    faults.args(["faults", "--out", "target/foretorque/faults.json"]);
+    faults.args(["--snapshot", "tests/snapshots/faults.txt"]);
+    shell::run(faults.args(accept.then_some("--accept")))
 }
 
 /// Sets up, builds, measures and compares with docs/budget.md; `accept` writes that page anew.
@@ -54,16 +47,8 @@ pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     let board = setup::run(forced)?.board;
     let arms = larger(board, &host_sim()?, &["bench", "joint"])?;
     let mut build = board.board_cargo("build");
-    shell::run(build.args([
-        "--bin",
-        "bench",
-        "--bin",
-        "joint",
-        "--bin",
-        "joint-drive",
-        "--bin",
-        "joint-can",
-    ]))?;
+    let images = ["bench", "joint", "joint-drive", "joint-can"];
+    shell::run(build.args(images.iter().flat_map(|image| ["--bin", image])))?;
     let version = capture(board.tool("rustc").arg("--version"));
     let version = version.context("rustc reports no version")?;
     let (elves, root) = (shell::elves(), shell::root());

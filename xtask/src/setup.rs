@@ -162,12 +162,8 @@ fn builds_for_board(toolchain: Toolchain) -> bool {
     let mut rustc = toolchain.tool("rustc");
     rustc
         .args(["--edition=2024", "--target", TARGET, "-Cpanic=abort"])
-        .args([
-            "-Copt-level=1",
-            "-Clto=fat",
-            "-Ccodegen-units=1",
-            "--out-dir",
-        ])
+        .args(["-Copt-level=1", "-Clto=fat", "-Ccodegen-units=1"])
+        .arg("--out-dir")
         .args([&place, &shell::root().join("xtask/smoke.rs")]);
     let built = capture(&mut rustc).is_some();
     let _ = fs::remove_dir_all(&place);

@@ -140,11 +140,7 @@ impl Budget {
     }
 
     fn page(&self) -> String {
-        let Self {
-            introduction,
-            toolchain,
-            ..
-        } = self;
+        let (introduction, toolchain) = (&self.introduction, &self.toolchain);
         let mut page = format!("{introduction}{TOOLCHAIN}{toolchain}\n\n{TABLE}");
         let number = |cell: Option<u64>| cell.map_or(String::new(), |value| value.to_string());
         for line in &self.lines {
@@ -205,24 +201,22 @@ impl Budget {
                 100.0 * FOREIGN_MARGIN
             ));
         }
-        for Measured {
-            quantity, value, ..
-        } in measured
-        {
+        for m in measured {
+            let (quantity, value) = (&m.quantity, m.value);
             let Some(line) = self.line(quantity) else {
                 exceeded.push(format!("{quantity}: {value} has no budget"));
                 continue;
             };
             let (before, limit) = (line.value, line.limit as f64 * (1.0 + margin));
-            if *value as f64 > limit {
+            if value as f64 > limit {
                 exceeded.push(format!(
                     "{quantity}: {value} exceeds {limit:.0} (was {before})"
                 ));
             } else if foreign {
                 // The difference is the compiler's, not a change of the code.
-            } else if *value < before {
+            } else if value < before {
                 notes.push(format!("{quantity}: improved from {before} to {value}"));
-            } else if *value > before {
+            } else if value > before {
                 let limit = line.limit;
                 notes.push(format!(
                     "{quantity}: grew from {before} to {value}, within {limit}"
@@ -244,14 +238,9 @@ impl Budget {
             bail!("{first}");
         }
         let mut lines = Vec::new();
-        for Measured {
-            quantity,
-            value,
-            how,
-            allowed,
-        } in measured
-        {
-            let fresh = fresh(*value);
+        for m in measured {
+            let (quantity, value) = (&m.quantity, m.value);
+            let fresh = fresh(value);
             let line = self.line(quantity);
             let before = line.map_or(fresh, |line| line.limit);
             // A raise counts from the limit that it names.
@@ -261,21 +250,21 @@ impl Budget {
             };
             // A goal that is reached is kept.
             let reach = line.and_then(|line| line.reach);
-            let goal = reach.filter(|goal| value <= goal).unwrap_or(u64::MAX);
-            let limit = allowed.unwrap_or(before.min(fresh).min(goal));
+            let goal = reach.filter(|&goal| value <= goal).unwrap_or(u64::MAX);
+            let limit = m.allowed.unwrap_or(before.min(fresh).min(goal));
             ensure!(
-                *value <= limit,
+                value <= limit,
                 "{quantity}: {value} exceeds {limit}; a raise is a line under the table of {PAGE}: \
                  | raise | `{quantity}` | {limit} | {fresh} | why |"
             );
             lines.push(Line {
                 quantity: quantity.clone(),
-                value: *value,
+                value,
                 limit,
                 reach,
                 peer: line.and_then(|line| line.peer),
                 who: line.map_or(String::new(), |line| line.who.clone()),
-                how: how.clone(),
+                how: m.how.clone(),
             });
         }
         Ok(Self {

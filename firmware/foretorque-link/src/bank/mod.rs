@@ -194,7 +194,6 @@ pub struct NetworkShape {
 }
 
 impl NetworkShape {
-    /// No network.
     pub(crate) const NONE: Self = Self {
         activation: ActivationKind::Relu,
         inputs: 0,

@@ -50,16 +50,11 @@ pub struct JointCommand {
 impl JointCommand {
     /// Every field is finite.
     pub fn is_finite(&self) -> bool {
-        let Self {
-            position,
-            velocity,
-            torque,
-            kp,
-            kd,
-        } = self;
-        [position, velocity, torque, kp, kd]
-            .iter()
-            .all(|value| value.is_finite())
+        let (motion, gains) = (
+            [self.position, self.velocity, self.torque],
+            [self.kp, self.kd],
+        );
+        motion.iter().chain(&gains).all(|value| value.is_finite())
     }
 }
 

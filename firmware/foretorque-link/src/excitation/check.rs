@@ -117,33 +117,15 @@ fn inside<const N: usize>(
 const OVERSPEED: f32 = 1.2;
 
 /// Supervision of the measured and desired motion while an excitation plays.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Supervision<const N: usize> {
     /// Ticks in a row without a measurement.
-    blind: u32,
+    pub(super) blind: u32,
     /// Measured position of the tick before.
-    before: Option<JointVector<N>>,
+    pub(super) before: Option<JointVector<N>>,
 }
 
 impl<const N: usize> Supervision<N> {
-    /// Before the first measurement.
-    pub(super) const fn new() -> Self {
-        Self {
-            blind: 0,
-            before: None,
-        }
-    }
-
-    /// Restarts the count of ticks without a measurement.
-    pub(super) fn restart(&mut self) {
-        self.blind = 0;
-    }
-
-    /// Keeps the measured position for the next tick.
-    pub(super) fn record(&mut self, measured: Option<JointVector<N>>) {
-        self.before = measured;
-    }
-
     /// The first limit that measured or desired motion exceeds.
     ///
     /// * `desired` desired motion of the tick that is measured

@@ -15,7 +15,6 @@ const HANDOVER_RAD_S: f32 = 0.02;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PlayerState<const N: usize> {
     excitation: ExcitationState,
-    /// Points checked.
     checked: u32,
     /// A start waits for the check or for a measurement.
     start_waits: bool,
@@ -69,7 +68,7 @@ impl<const N: usize> Player<N> {
                 phase: 0,
                 periods: 0,
                 speed: PathSpeed::NONE,
-                supervision: Supervision::new(),
+                supervision: Supervision::default(),
                 last: JointMotion::zero(),
             },
         }
@@ -147,7 +146,7 @@ impl<const N: usize> Player<N> {
             }
             self.advance();
         }
-        self.state.supervision.record(measured);
+        self.state.supervision.before = measured;
         self.desired().copied()
     }
 
@@ -189,7 +188,7 @@ impl<const N: usize> Player<N> {
         let mut speeds = desired.qd.iter();
         let fast = speeds.position(|qd| qd.is_nan() || qd.abs() > HANDOVER_RAD_S);
         state.speed.rest();
-        state.supervision.restart();
+        state.supervision.blind = 0;
         state.excitation = Approaching;
         let refused = match fast {
             Some(joint) => Some(AbortReason::Velocity(joint as u8)),
@@ -215,7 +214,6 @@ impl<const N: usize> Player<N> {
         self.state.speed.start();
     }
 
-    /// Advances one tick along the path.
     fn advance(&mut self) {
         let (speed, _) = self.state.speed.now(self.tick_us);
         self.state.speed.advance();
@@ -326,7 +324,6 @@ mod tests {
         JointSample { desired, measured }
     }
 
-    /// A player that has loaded `program`.
     fn loaded(program: &ExcitationProgram<N>) -> Player<N> {
         let mut player = player();
         player.load(program).unwrap();
@@ -340,7 +337,6 @@ mod tests {
         player.step(Some(&sample(held, q)))
     }
 
-    /// The motions of so many ticks.
     fn followed(player: &mut Player<N>, ticks: u32) -> Vec<JointMotion<N>> {
         (0..ticks).filter_map(|_| follow(player)).collect()
     }

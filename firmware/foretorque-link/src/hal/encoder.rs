@@ -299,7 +299,6 @@ pub(crate) mod tests {
         encoder
     }
 
-    /// Moves the chip and reads.
     fn moved(encoder: &mut AbsoluteEncoder<Chip>, angle: u16) -> Result<f32, EncoderError> {
         encoder.spi.angle = angle;
         encoder.position()

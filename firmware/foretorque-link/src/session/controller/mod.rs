@@ -62,7 +62,6 @@ pub(super) struct TickCounters {
 /// The tick's slew limit is half of the hard one, so two sound ticks in a period are within that.
 const MAX_CREDIT: u8 = 2;
 
-/// A sample as it arrived.
 struct Arrived<const N: usize> {
     sequence: u16,
     sample: SampleFrame<N>,

@@ -299,8 +299,9 @@ fn an_armed_board_without_its_gravity_share_latches() {
         let mut timeline = Timeline::armed(pacing);
         let mut set = timeline.board.session.feed_forward().state().active;
         set.rigid.fill(1e30);
-        let exchange = &mut timeline.board.mailboxes.learner.exchange;
-        timeline.board.session.load_set(set, exchange);
+        let board = &mut timeline.board;
+        let exchange = &mut board.mailboxes.learner.exchange;
+        board.session.controller.feed_forward.load(set, exchange);
         (0..20).for_each(|_| timeline.period(Timing::Exact));
         let latched = timeline.board.session.latched_fault();
         assert_eq!(latched, SafetyReason::GravityLost, "{pacing:?}");
