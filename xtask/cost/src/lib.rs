@@ -7,9 +7,8 @@ mod budget;
 mod calls;
 mod cycles;
 mod emulator;
-mod gates;
+mod firmware;
 mod image;
-mod memory;
 mod report;
 mod row;
 mod thumb;
@@ -22,8 +21,8 @@ use anyhow::{Context as _, Result, bail};
 
 use budget::{Budget, Measured};
 use emulator::{PERMILLE_LIMIT, Spread};
+use firmware::Memory;
 use image::Image;
-use memory::Memory;
 use row::Row;
 
 /// The firmware with a budget.
@@ -54,7 +53,7 @@ pub fn bench(
 ) -> Result<()> {
     let (rows, spread) = row::measure(&elves.join("bench"))?;
     let joint = Image::read(&elves.join(JOINT))?;
-    let reached = gates::check(&joint)?;
+    let reached = firmware::check(&joint)?;
     let memory = Memory::of(&joint)?;
     let drive = firmware(elves, DRIVE)?;
     let can = firmware(elves, CAN)?;
@@ -75,7 +74,7 @@ pub fn bench(
         "{DRIVE}: {} B flash, {} B static RAM; worst stack of the tick {} B\n",
         drive.flash_bytes, drive.ram_bytes, drive.stack_bytes
     );
-    println!("{}", memory::by_module_table(&joint));
+    println!("{}", firmware::by_module_table(&joint));
     println!("{}\n", report::spread(&spread));
     println!(
         "gates: no handler reaches a panic, software f64 or an allocator ({reached} functions seen)"
@@ -118,7 +117,7 @@ pub fn sizes(elf: &Path) -> Result<(u32, u32)> {
 fn firmware(elves: &Path, name: &str) -> Result<Memory> {
     let check = || -> Result<_> {
         let image = Image::read(&elves.join(name))?;
-        Ok((gates::check(&image)?, Memory::of(&image)?))
+        Ok((firmware::check(&image)?, Memory::of(&image)?))
     };
     let (reached, memory) = check().with_context(|| format!("firmware `{name}`"))?;
     println!(

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use crate::budget::{Budget, Line};
 use crate::emulator::{PERMILLE_LIMIT, Spread};
-use crate::memory::Memory;
+use crate::firmware::Memory;
 use crate::row::Row;
 
 /// The table for the terminal.

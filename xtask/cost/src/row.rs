@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::{Context as _, Result, ensure};
 
 use crate::emulator::{self, Counts, Spread};
+use crate::firmware;
 use crate::image::Image;
-use crate::memory;
 use crate::trace::Call;
 
 /// Calls of each row that are counted, and that are traced: enough for the turn of every joint.
@@ -54,7 +54,7 @@ impl Row {
         }
         let function = image.function(&format!("rows::{name}"));
         let function = function.context("a row without a function")?;
-        let stack_bytes = memory::bounded_depth(image, function.code.start)?.bytes;
+        let stack_bytes = firmware::bounded_depth(image, function.code.start)?.bytes;
         let stack_seen = calls.iter().map(|call| call.stack_bytes).max().unwrap_or(0);
         ensure!(
             stack_seen <= stack_bytes,

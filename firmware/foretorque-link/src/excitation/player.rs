@@ -1,9 +1,9 @@
 use super::ExcitationState::{self, *};
-use super::check::{self, Supervision};
 use super::path::{JointSeries, Path, PathSpeed, PreparedSeries};
 use super::{
-    AbortReason, ExcitationCommand, ExcitationCommand as Command, ExcitationError,
-    ExcitationProgram, MotionBounds, PlayLimits,
+    AbortReason, CHECK_POINTS, CHECK_POINTS_A_TICK, ExcitationCommand,
+    ExcitationCommand as Command, ExcitationError, ExcitationProgram, MotionBounds, PlayLimits,
+    Supervision, check_at_once, check_point, check_start,
 };
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointSample, JointVector};
@@ -91,9 +91,9 @@ impl<const N: usize> Player<N> {
         if self.state().is_active() {
             return Err(ExcitationError::Running);
         }
-        check::at_once(program, &self.limits, self.arm_hash, self.tick_us)?;
+        check_at_once(program, &self.limits, self.arm_hash, self.tick_us)?;
         let series = PreparedSeries::new(program.period_us, self.tick_us);
-        check::starts_at_rest(program, &series)?;
+        check_start(program, &series)?;
         self.program = *program;
         self.series = series;
         self.state.speed.prepare(&program.certificate, self.tick_us);
@@ -151,15 +151,15 @@ impl<const N: usize> Player<N> {
     }
 
     fn check(&mut self) {
-        for _ in 0..check::POINTS_A_TICK {
-            if let Err(error) = check::point(&self.program, &self.series, self.state.checked) {
+        for _ in 0..CHECK_POINTS_A_TICK {
+            if let Err(error) = check_point(&self.program, &self.series, self.state.checked) {
                 self.state.excitation = Refused(error);
                 self.state.start_waits = false;
                 return;
             }
             self.state.checked += 1;
         }
-        if self.state.checked >= check::POINTS {
+        if self.state.checked >= CHECK_POINTS {
             self.state.excitation = Ready;
         }
     }
@@ -345,7 +345,7 @@ mod tests {
     fn approaching() -> Player<N> {
         let mut player = loaded(&program());
         player.command(Start).unwrap();
-        followed(&mut player, 1 + check::POINTS / check::POINTS_A_TICK);
+        followed(&mut player, 1 + CHECK_POINTS / CHECK_POINTS_A_TICK);
         assert_eq!(player.state(), Approaching);
         player
     }
