@@ -220,18 +220,3 @@ fn an_angle_that_is_no_angle_gives_no_torque() {
         }
     }
 }
-
-#[test]
-fn torques_at_rest_and_without_gravity_share_are_zero() {
-    // Only inertias, no first moments: an arm at rest needs no torque.
-    let mut beta = BaseParameters::<40>::from_row_slice(&Ur5::NOMINAL);
-    for link in 1..6 {
-        beta[7 * link - 6] = 0.0;
-        beta[7 * link - 5] = 0.0;
-    }
-    let motion = JointMotion {
-        q: JointVector::<6>::new(0.3, -1.2, 0.8, 2.0, -0.4, 1.0),
-        ..JointMotion::zero()
-    };
-    assert_eq!(rnea::<Ur5, 6, 40>(&beta, &motion).amax(), 0.0);
-}

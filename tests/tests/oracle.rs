@@ -220,19 +220,6 @@ struct Batch {
 }
 
 impl Batch {
-    fn add<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
-        let table = Table::pinocchio(A::NAME);
-        for row in 0..table.len() {
-            self.states.push(self.arms as f32);
-            for (name, unit) in [("q", "_rad"), ("qd", "_rad_s"), ("qdd", "_rad_s2")] {
-                // The tables hold states that f32 represents exactly.
-                let values = table.joints::<N>(row, name, unit);
-                self.states.extend(values.map(|value| value as f32));
-            }
-        }
-        self.arms += 1;
-    }
-
     /// Computes the torques on the emulated processor.
     fn run(&mut self) {
         let folder = std::env::temp_dir().join(format!("foretorque-oracle-{}", std::process::id()));
@@ -248,43 +235,47 @@ impl Batch {
         self.torques = torques.into_iter();
         std::fs::remove_dir_all(&folder).expect("the temporary folder can be removed");
     }
-
-    /// Largest errors of `rnea` and of the regressor's rows over the table, in torque limits and in N·m.
-    fn compare<A: Arm<N, P>, const N: usize, const P: usize>(&mut self) {
-        let table = Table::pinocchio(A::NAME);
-        let mut worst = [[0.0f64; N]; 2];
-        for row in 0..table.len() {
-            let expected = table.joints::<N>(row, "tau", "_nm");
-            for worst in &mut worst {
-                for (worst, expected) in worst.iter_mut().zip(expected) {
-                    let tau = self.torques.next().expect("a torque for every state");
-                    *worst = worse(*worst, (f64::from(tau) - expected).abs());
-                }
-            }
-        }
-        let name = A::NAME;
-        let [rnea, rows] = worst;
-        let (rnea_um, rows_um) = (rnea.map(|e| 1e6 * e), rows.map(|e| 1e6 * e));
-        println!("{name}: rnea off by {rnea_um:.2?} µN·m, rows of the regressor by {rows_um:.2?}");
-        for joint in 0..N {
-            let limit = f64::from(A::LIMITS[joint].torque);
-            let bound = match (name, UR5_TOLERANCE.get(joint)) {
-                ("ur5", Some(&tolerance)) => tolerance,
-                _ => LIMIT_SHARE * limit,
-            };
-            assert!(rnea[joint] <= bound, "{name}: joint {}", joint + 1);
-            let bound = ROW_LIMIT_SHARE * limit;
-            assert!(rows[joint] <= bound, "{name}: row {}", joint + 1);
-        }
-    }
 }
 
 fn add<A: Arm<N, P>, const N: usize, const P: usize>(batch: &mut Batch) {
-    batch.add::<A, N, P>();
+    let table = Table::pinocchio(A::NAME);
+    for row in 0..table.len() {
+        let motion = motion::<N>(&table, row);
+        batch.states.push(batch.arms as f32);
+        for values in [motion.q, motion.qd, motion.qdd] {
+            batch.states.extend(values.iter());
+        }
+    }
+    batch.arms += 1;
 }
 
+/// Largest errors of `rnea` and of the regressor's rows over the table, in torque limits and in N·m.
 fn compare<A: Arm<N, P>, const N: usize, const P: usize>(batch: &mut Batch) {
-    batch.compare::<A, N, P>();
+    let table = Table::pinocchio(A::NAME);
+    let mut worst = [[0.0f64; N]; 2];
+    for row in 0..table.len() {
+        let expected = table.joints::<N>(row, "tau", "_nm");
+        for worst in &mut worst {
+            for (worst, expected) in worst.iter_mut().zip(expected) {
+                let tau = batch.torques.next().expect("a torque for every state");
+                *worst = worse(*worst, (f64::from(tau) - expected).abs());
+            }
+        }
+    }
+    let name = A::NAME;
+    let [rnea, rows] = worst;
+    let (rnea_um, rows_um) = (rnea.map(|e| 1e6 * e), rows.map(|e| 1e6 * e));
+    println!("{name}: rnea off by {rnea_um:.2?} µN·m, rows of the regressor by {rows_um:.2?}");
+    for joint in 0..N {
+        let limit = f64::from(A::LIMITS[joint].torque);
+        let bound = match (name, UR5_TOLERANCE.get(joint)) {
+            ("ur5", Some(&tolerance)) => tolerance,
+            _ => LIMIT_SHARE * limit,
+        };
+        assert!(rnea[joint] <= bound, "{name}: joint {}", joint + 1);
+        let bound = ROW_LIMIT_SHARE * limit;
+        assert!(rows[joint] <= bound, "{name}: row {}", joint + 1);
+    }
 }
 
 /// Runs the ELF with the two files.

@@ -357,16 +357,6 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn two_frames_a_reading() {
-        let mut encoder = encoder(CONFIG, 10, 0.0);
-        let before = encoder.spi.frames;
-        for _ in 0..5 {
-            encoder.position().unwrap();
-        }
-        assert_eq!(encoder.spi.frames, before + 10);
-    }
-
-    #[test]
     fn diagnostics_are_reported_in_the_next_reading() {
         for (diagnostics, error) in [
             (0, EncoderError::NotReady),
