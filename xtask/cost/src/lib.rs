@@ -9,7 +9,6 @@ mod cycles;
 mod emulator;
 mod firmware;
 mod image;
-mod report;
 mod row;
 mod thumb;
 mod trace;
@@ -69,13 +68,13 @@ pub fn bench(
         budget = budget.accept(toolchain, &measured)?;
         budget.write(root)?;
     }
-    println!("\n{}", report::table(&rows, &memory, &budget));
+    println!("\n{}", row::table(&rows, &memory, &budget));
     println!(
         "{DRIVE}: {} B flash, {} B static RAM; worst stack of the tick {} B\n",
         drive.flash_bytes, drive.ram_bytes, drive.stack_bytes
     );
     println!("{}", firmware::by_module_table(&joint));
-    println!("{}\n", report::spread(&spread));
+    println!("{}\n", row::spread(&spread));
     println!(
         "gates: no handler reaches a panic, software f64 or an allocator ({reached} functions seen)"
     );
@@ -83,7 +82,7 @@ pub fn bench(
     if let Some(parent) = out.parent() {
         fs::create_dir_all(parent)?;
     }
-    let json = report::json(toolchain, &rows, &spread, &memory, &budget);
+    let json = row::json(toolchain, &rows, &spread, &memory, &budget);
     fs::write(&out, json).with_context(|| format!("cannot write {}", out.display()))?;
     println!("figures: {OUT}");
 
