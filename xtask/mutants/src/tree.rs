@@ -82,13 +82,8 @@ impl Tree {
     pub(crate) fn new(root: &Path) -> Result<Self> {
         let copy = root.join("target/mutants");
         let listed = Command::new("git")
-            .args([
-                "ls-files",
-                "-z",
-                "--cached",
-                "--others",
-                "--exclude-standard",
-            ])
+            .args(["ls-files", "-z", "--cached", "--others"])
+            .arg("--exclude-standard")
             .current_dir(root)
             .output()?;
         ensure!(listed.status.success(), "`git ls-files` failed");
@@ -107,21 +102,19 @@ impl Tree {
     pub(crate) fn plant(&self, mutants: &mut [Option<Mutant>]) -> Result<()> {
         ensure!(mutants.len() < MOST, "more than {MOST} mutants");
         let (_, sources) = PACKAGES[0];
-        write(
-            &self.copy.join(sources).join("mutation.rs"),
-            SWITCH.as_bytes(),
-        )?;
+        let copy = self.copy.join(sources);
+        write(&copy.join("mutation.rs"), SWITCH.as_bytes())?;
         let lib = fs::read_to_string(self.root.join(sources).join("lib.rs"))?;
         let lib = lib + "\npub mod mutation;\n";
-        write(&self.copy.join(sources).join("lib.rs"), lib.as_bytes())?;
+        write(&copy.join("lib.rs"), lib.as_bytes())?;
         let check = ["check", "--lib", "--message-format=json"];
-        self.until_it_compiles(check, mutants).map(|_| ())
+        self.until_it_compiles(&check, mutants).map(|_| ())
     }
 
     /// Builds the library tests, without the mutants that do not compile in them; the programs.
     pub(crate) fn build(&self, mutants: &mut [Option<Mutant>]) -> Result<Vec<PathBuf>> {
         let test = ["test", "--lib", "--no-run", "--message-format=json"];
-        let output = self.until_it_compiles(test, mutants)?;
+        let output = self.until_it_compiles(&test, mutants)?;
         let programs = messages(&output)
             .filter_map(|message| message["executable"].as_str().map(PathBuf::from))
             .collect::<Vec<_>>();
@@ -130,14 +123,10 @@ impl Tree {
     }
 
     /// Calls cargo, and drops the mutants at its errors, until there are none.
-    fn until_it_compiles<const ARGS: usize>(
-        &self,
-        args: [&str; ARGS],
-        mutants: &mut [Option<Mutant>],
-    ) -> Result<Vec<u8>> {
+    fn until_it_compiles(&self, args: &[&str], mutants: &mut [Option<Mutant>]) -> Result<Vec<u8>> {
         for _ in 0..20 {
             let ranges = self.write_mutants(mutants)?;
-            let mut cargo = self.cargo(&args);
+            let mut cargo = self.cargo(args);
             let output = cargo.stderr(Stdio::null()).output()?;
             if output.status.success() {
                 return Ok(output.stdout);
@@ -146,8 +135,7 @@ impl Tree {
             let mut dropped = 0;
             for (file, at) in &errors {
                 let inside = ranges.get(file).into_iter().flatten();
-                let inside =
-                    inside.filter(|(_, range)| range.start <= at.start && at.start < range.end);
+                let inside = inside.filter(|(_, range)| range.contains(&at.start));
                 if let Some((number, _)) = inside.min_by_key(|(_, range)| range.len()) {
                     let mutant = &mut mutants[*number as usize - 1];
                     dropped += usize::from(mutant.take().is_some());
@@ -322,10 +310,8 @@ pub(crate) fn judges(tree: &Tree, programs: &[PathBuf]) -> Result<Vec<Judge>> {
 
 /// Name of the first test that fails on a mutant; `None` when it lives.
 pub(crate) fn killer(judges: &[Judge], mutant: u32) -> Result<Option<&str>> {
-    for judge in judges
-        .iter()
-        .filter(|judge| judge.reached.contains(&mutant))
-    {
+    let reaching = |judge: &&Judge| judge.reached.contains(&mutant);
+    for judge in judges.iter().filter(reaching) {
         let passes = judge.passes(mutant);
         if !passes.with_context(|| format!("cannot run {}", judge.name))? {
             return Ok(Some(&judge.name));

@@ -199,8 +199,11 @@ impl ParameterBank {
         let mut start = StartDeviations::PRIOR;
         let parts = start.rigid.iter_mut().take(A::index().count);
         let parts = parts.chain(start.friction.as_flattened_mut());
-        let priors = slots::<A, N, P>(&prior).zip(parts);
-        for (&id, (&prior, part)) in columns::<A, N, P>().iter().zip(priors) {
+        for ((&id, &prior), part) in columns::<A, N, P>()
+            .iter()
+            .zip(slots::<A, N, P>(&prior))
+            .zip(parts)
+        {
             if let Some(column) = self.column(id) {
                 *part = StartDeviations::<N, P>::part(column.deviation, prior);
             }

@@ -113,11 +113,15 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         &mut self,
         learner: &mut Learner<A, N, P>,
     ) -> Option<LearningSample<N>> {
-        if let Some(restart) = self.restart.take() {
-            let config = LearnerConfig::for_arm::<A>(restart.period_s);
+        if let Some(Restart {
+            period_s,
+            set,
+            start,
+        }) = self.restart.take()
+        {
             // The learner accepts the configuration of every period that the session accepts. If it refused one, it would
             // learn nothing: the samples that follow do not belong to its set.
-            let _ = learner.restart_with(config, &restart.set, &restart.start);
+            let _ = learner.restart_with(LearnerConfig::for_arm::<A>(period_s), &set, &start);
         }
         let sample = self.samples.dequeue()?;
         learner.collect(&sample, &mut self.exchange);

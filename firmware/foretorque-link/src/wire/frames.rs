@@ -201,13 +201,17 @@ impl<const N: usize> TorqueFrame<N> {
     /// The frame of a torque with its status.
     pub fn new(torque: &Torque<N>, safety: SafetyStatus) -> Self {
         let joint = torque.tick as usize % N;
-        let shares = &torque.shares;
+        let Shares {
+            rigid,
+            friction,
+            network,
+        } = &torque.shares;
         Self {
             tick: torque.tick,
             flags: torque.flags.0,
             safety,
             total: array(&torque.total),
-            shares: [&shares.rigid, &shares.friction, &shares.network]
+            shares: [rigid, friction, network]
                 .map(|share| share.get(joint).copied().unwrap_or(0.0)),
         }
     }

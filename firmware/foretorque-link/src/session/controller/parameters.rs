@@ -16,15 +16,20 @@ use foretorque::learning::{ParameterSet, Request};
 impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     /// Errors: torque flows.
     pub(in crate::session) fn at_rest(&self) -> Result<(), NackReason> {
-        let at_rest = self.safety.at_rest();
-        at_rest.then_some(()).ok_or(NackReason::Armed)
+        match self.safety.at_rest() {
+            true => Ok(()),
+            false => Err(NackReason::Armed),
+        }
     }
 
     /// Parameters may be written: no torque flows, and learning is off.
     pub(in crate::session) fn writable(&self) -> Result<(), NackReason> {
         self.at_rest()?;
-        let fixed = !self.feed_forward.state().learning;
-        fixed.then_some(()).ok_or(NackReason::LearningOn)
+        if self.feed_forward.state().learning {
+            Err(NackReason::LearningOn)
+        } else {
+            Ok(())
+        }
     }
 
     /// Checks a configuration, apart from the capabilities of the board.

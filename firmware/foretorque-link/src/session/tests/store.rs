@@ -353,6 +353,12 @@ impl Board {
         let (length, crc) = (program.len() as u16, CRC.checksum(program));
         self.request(HostMessage::ExcitationLoad { length, crc, mac })
     }
+
+    fn unlock(&mut self, byte: u8, order: [u8; 2]) -> BoardMessage<N> {
+        let nonce = self.challenge();
+        let mac = key(byte).sign_order(&nonce, Ur5::HASH, order);
+        self.request(HostMessage::Unlock { order, mac })
+    }
 }
 
 #[test]
@@ -437,14 +443,6 @@ fn an_excitation_needs_a_signature_of_its_own() {
     let mac = board.signed(3, &program);
     let reply = board.upload(&program, mac);
     assert!(matches!(reply, BoardMessage::Nack(NackReason::Bank(_))));
-}
-
-impl Board {
-    fn unlock(&mut self, byte: u8, order: [u8; 2]) -> BoardMessage<N> {
-        let nonce = self.challenge();
-        let mac = key(byte).sign_order(&nonce, Ur5::HASH, order);
-        self.request(HostMessage::Unlock { order, mac })
-    }
 }
 
 fn protected() -> [HostMessage<N>; 6] {
