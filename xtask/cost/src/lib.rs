@@ -5,7 +5,6 @@
 
 mod budget;
 mod calls;
-mod cycles;
 mod emulator;
 mod firmware;
 mod image;

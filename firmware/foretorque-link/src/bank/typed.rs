@@ -199,11 +199,8 @@ impl ParameterBank {
         let mut start = StartDeviations::PRIOR;
         let parts = start.rigid.iter_mut().take(A::index().count);
         let parts = parts.chain(start.friction.as_flattened_mut());
-        for ((&id, &prior), part) in columns::<A, N, P>()
-            .iter()
-            .zip(slots::<A, N, P>(&prior))
-            .zip(parts)
-        {
+        let priors = slots::<A, N, P>(&prior).zip(parts);
+        for (&id, (&prior, part)) in columns::<A, N, P>().iter().zip(priors) {
             if let Some(column) = self.column(id) {
                 *part = StartDeviations::<N, P>::part(column.deviation, prior);
             }

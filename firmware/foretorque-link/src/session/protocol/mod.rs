@@ -187,13 +187,8 @@ impl Protocol {
     pub(in crate::session) fn losses(&self) -> [u16; 4] {
         let counted = &self.counters;
         let refused = counted.crc_errors.wrapping_add(counted.framing_errors);
-        let losses = [
-            counted.missed,
-            refused,
-            counted.replies_lost,
-            counted.overruns,
-        ];
-        losses.map(|count| count as u16)
+        let (missed, lost) = (counted.missed, counted.replies_lost);
+        [missed, refused, lost, counted.overruns].map(|count| count as u16)
     }
 }
 
@@ -284,14 +279,12 @@ impl Transfer {
         if self.direction != Direction::Down {
             return Err(NackReason::Gap { expected: 0 });
         }
-        let rest = self
-            .content()
-            .get(usize::from(offset)..)
-            .unwrap_or_default();
+        let rest = self.content().get(usize::from(offset)..);
+        let rest = rest.unwrap_or_default().iter();
         Ok(BoardMessage::BankChunk {
             offset,
             length: self.length as u16,
-            bytes: rest.iter().copied().take(CHUNK).collect(),
+            bytes: rest.copied().take(CHUNK).collect(),
         })
     }
 }
