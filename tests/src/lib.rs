@@ -1,8 +1,10 @@
-//! Requirements that hold across the crates of foretorque, and tables made by outside tools: compressed CSV, a header row.
+//! Requirements that hold across the crates of foretorque: test arms beside the shipped ones, and tables made by outside
+//! tools: compressed CSV, a header row.
 
-pub mod arms;
+pub use foretorque_test_arms as arms;
 
 use flate2::read::GzDecoder;
+use foretorque_workbench::robot::Robot;
 use std::collections::HashMap;
 use std::fs::File;
 use std::path::Path;
@@ -52,4 +54,37 @@ impl Table {
     pub fn joints<const N: usize>(&self, row: usize, prefix: &str, suffix: &str) -> [f64; N] {
         std::array::from_fn(|joint| self.value(row, &format!("{prefix}{}{suffix}", joint + 1)))
     }
+}
+
+/// Calls `check::<Arm, N, P>()`, with arguments if there are any, for the UR5, the Panda and the ten random arms.
+#[macro_export]
+macro_rules! each_arm {
+    ($check:ident $(, $argument:expr)*) => {
+        $check::<foretorque::arm::ur5::Ur5, 6, 40>($($argument),*);
+        $check::<foretorque::arm::panda::Panda, 7, 48>($($argument),*);
+        $check::<$crate::arms::random_1_a::Random1A, 1, 3>($($argument),*);
+        $check::<$crate::arms::random_1_b::Random1B, 1, 3>($($argument),*);
+        $check::<$crate::arms::random_2_a::Random2A, 2, 11>($($argument),*);
+        $check::<$crate::arms::random_2_b::Random2B, 2, 11>($($argument),*);
+        $check::<$crate::arms::random_4_a::Random4A, 4, 27>($($argument),*);
+        $check::<$crate::arms::random_4_b::Random4B, 4, 27>($($argument),*);
+        $check::<$crate::arms::random_6_a::Random6A, 6, 43>($($argument),*);
+        $check::<$crate::arms::random_6_b::Random6B, 6, 43>($($argument),*);
+        $check::<$crate::arms::random_7_a::Random7A, 7, 51>($($argument),*);
+        $check::<$crate::arms::random_7_b::Random7B, 7, 51>($($argument),*);
+    };
+}
+
+/// The description of an arm of [`each_arm`], of [`arms::oblique`] or of [`arms::ur5_calibrated`].
+///
+/// Panics if it cannot be read: without it there is nothing to test.
+pub fn description(name: &str) -> Robot {
+    let data = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
+    let loaded = match name {
+        "ur5" | "panda" => Robot::load(name),
+        "ur5_calibrated" => Robot::load(&format!("{data}/{name}.toml")),
+        "oblique" => Robot::load(&format!("{data}/pinocchio/arms/{name}.urdf")),
+        _ => Robot::load(&format!("{data}/pinocchio/arms/{name}.toml")),
+    };
+    loaded.unwrap_or_else(|error| panic!("{error}"))
 }

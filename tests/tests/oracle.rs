@@ -1,12 +1,13 @@
 //! Dynamics against tables made by Pinocchio (`tests/data/pinocchio/README.md`).
 
-use acceptance::arms::description;
 use acceptance::arms::oblique::Oblique;
-use acceptance::{Table, each_arm};
+use acceptance::{Table, description, each_arm};
 use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 /// f64 against f64 in another formulation: torques of a few hundred N·m carry some 1e-13 N·m of rounding.
 const REFERENCE_TOLERANCE: f64 = 1e-10;
@@ -198,4 +199,112 @@ fn board_torques_of_every_arm_agree_with_pinocchio() {
 #[test]
 fn board_regressor_rows_are_the_base_columns_of_pinocchio() {
     each_arm!(board_rows_agree);
+}
+
+/// f32 torques of the UR5, N·m: three decimal places below the friction of the joint.
+const UR5_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
+
+/// A row of the regressor sums the same torque from up to 40 products, in torque limits of the joint.
+const ROW_LIMIT_SHARE: f64 = 2e-6;
+
+/// Seconds after which the emulator is stopped; it needs about one.
+const PATIENCE: &str = "120";
+
+/// The tables against the firmware as the emulated processor runs it: the ELF `oracle`, built for the board, all arms in one
+/// run. States of the arms, in the order of `each_arm`, and the torques after the run.
+#[derive(Default)]
+struct Batch {
+    states: Vec<f32>,
+    torques: std::vec::IntoIter<f32>,
+    arms: usize,
+}
+
+impl Batch {
+    /// Computes the torques on the emulated processor.
+    fn run(&mut self) {
+        let folder = std::env::temp_dir().join(format!("foretorque-oracle-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("the temporary folder can be written");
+        let (states, torques) = (folder.join("states"), folder.join("torques"));
+        let bytes: Vec<u8> = self.states.iter().flat_map(|x| x.to_le_bytes()).collect();
+        std::fs::write(&states, bytes).expect("the temporary folder can be written");
+        emulate(&states, &torques);
+        let bytes = std::fs::read(&torques).expect("the emulator has written it");
+        let (numbers, rest) = bytes.as_chunks::<4>();
+        assert!(rest.is_empty());
+        let torques: Vec<f32> = numbers.iter().map(|&b| f32::from_le_bytes(b)).collect();
+        self.torques = torques.into_iter();
+        std::fs::remove_dir_all(&folder).expect("the temporary folder can be removed");
+    }
+}
+
+fn add<A: Arm<N, P>, const N: usize, const P: usize>(batch: &mut Batch) {
+    let table = Table::pinocchio(A::NAME);
+    for row in 0..table.len() {
+        let motion = motion::<N>(&table, row);
+        batch.states.push(batch.arms as f32);
+        for values in [motion.q, motion.qd, motion.qdd] {
+            batch.states.extend(values.iter());
+        }
+    }
+    batch.arms += 1;
+}
+
+/// Largest errors of `rnea` and of the regressor's rows over the table, in torque limits and in N·m.
+fn compare<A: Arm<N, P>, const N: usize, const P: usize>(batch: &mut Batch) {
+    let table = Table::pinocchio(A::NAME);
+    let mut worst = [[0.0f64; N]; 2];
+    for row in 0..table.len() {
+        let expected = table.joints::<N>(row, "tau", "_nm");
+        for worst in &mut worst {
+            for (worst, expected) in worst.iter_mut().zip(expected) {
+                let tau = batch.torques.next().expect("a torque for every state");
+                *worst = worse(*worst, (f64::from(tau) - expected).abs());
+            }
+        }
+    }
+    let name = A::NAME;
+    let [rnea, rows] = worst;
+    let (rnea_um, rows_um) = (rnea.map(|e| 1e6 * e), rows.map(|e| 1e6 * e));
+    println!("{name}: rnea off by {rnea_um:.2?} µN·m, rows of the regressor by {rows_um:.2?}");
+    for joint in 0..N {
+        let limit = f64::from(A::LIMITS[joint].torque);
+        let bound = match (name, UR5_TOLERANCE.get(joint)) {
+            ("ur5", Some(&tolerance)) => tolerance,
+            _ => LIMIT_SHARE * limit,
+        };
+        assert!(rnea[joint] <= bound, "{name}: joint {}", joint + 1);
+        let bound = ROW_LIMIT_SHARE * limit;
+        assert!(rows[joint] <= bound, "{name}: row {}", joint + 1);
+    }
+}
+
+/// Runs the ELF with the two files.
+fn emulate(states: &Path, torques: &Path) {
+    let target = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target");
+    let elf = target.join("thumbv7em-none-eabihf/firmware/oracle");
+    let place = elf.display();
+    assert!(
+        elf.exists(),
+        "no firmware at {place}: build it with `cargo firmware`"
+    );
+    let (states, torques) = (states.display(), torques.display());
+    let semihosting = format!("enable=on,target=native,arg=oracle,arg={states},arg={torques}");
+    let status = Command::new("timeout")
+        .args([PATIENCE, "qemu-system-arm", "-machine", "netduinoplus2"])
+        .args(["-nographic", "-monitor", "none", "-serial", "none"])
+        .args(["-semihosting-config", &semihosting, "-kernel"])
+        .arg(&elf)
+        .stdin(Stdio::null())
+        .status()
+        .expect("qemu-system-arm is installed: `cargo xtask setup`");
+    assert!(status.success(), "the emulated run ended with {status}");
+}
+
+#[test]
+fn torques_of_every_arm_as_the_emulated_processor_computes_them_agree_with_pinocchio() {
+    let mut batch = Batch::default();
+    each_arm!(add, &mut batch);
+    batch.run();
+    each_arm!(compare, &mut batch);
+    assert_eq!(batch.torques.next(), None);
 }

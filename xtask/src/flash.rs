@@ -13,7 +13,6 @@ use ihex::Record;
 use crate::runs::ELF_COPY;
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command, shown};
-use crate::toolchain;
 
 /// Where the images go, from the workspace's root.
 const OUT: &str = "target/foretorque/flash";
@@ -38,40 +37,34 @@ const BOARDS: [(&str, &str); 4] = [
     ("can", "joint-can"),
 ];
 
-/// Binary of a board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Board(&'static str);
-
-impl Default for Board {
-    fn default() -> Self {
-        Self(BOARDS[0].1)
-    }
-}
-
-impl std::str::FromStr for Board {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let known = BOARDS.iter().find(|(name, _)| *name == text);
-        let unknown = || format!("unknown board `{text}`: choose odrive, pyboard, drive or can");
-        known.map(|(_, binary)| Self(binary)).ok_or_else(unknown)
-    }
+/// Binary of the board of this name.
+pub(crate) fn binary(board: &str) -> Result<&'static str, String> {
+    let known = BOARDS.iter().find(|(name, _)| *name == board);
+    let unknown = || format!("unknown board `{board}`: choose odrive, pyboard, drive or can");
+    known.map(|(_, binary)| *binary).ok_or_else(unknown)
 }
 
 /// Sets up, builds the firmware as the demo does, writes its images, and unless `image_only` flashes the ELF.
-pub(crate) fn run(forced: Option<Way>, board: Board, image_only: bool) -> Result<()> {
+///
+/// * `binary` that of a board; the first board's by default
+pub(crate) fn run(
+    forced: Option<Way>,
+    binary: Option<&'static str>,
+    image_only: bool,
+) -> Result<()> {
+    let binary = binary.unwrap_or(BOARDS[0].1);
     let tools = setup::run(forced)?;
     let mut firmware = tools.board.board_cargo("build");
-    shell::run(firmware.args(["--bin", board.0]))?;
-    let elf = toolchain::elf(board.0);
+    shell::run(firmware.args(["--bin", binary]))?;
+    let elf = shell::elf(binary);
     let bytes = shell::read(&elf)?;
     let mut sealed = bytes.clone();
-    write_images(&seal(&mut sealed)?, board.0)?;
-    let sealed_elf = image(board.0, "elf");
+    write_images(&seal(&mut sealed)?, binary)?;
+    let sealed_elf = image(binary, "elf");
     shell::write(&sealed_elf, &sealed)?;
     println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());
     println!("      {} (likewise, with its checksum)", shown(&sealed_elf));
-    if board == Board::default() {
+    if binary == BOARDS[0].1 {
         println!("demo: {}", compared(&bytes));
     }
     if image_only {

@@ -21,32 +21,15 @@ const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-l
 /// Corpora, logs and crashes, from the workspace's root.
 const HOME: &str = "target/foretorque/fuzz";
 
-/// A fuzzed part of the firmware.
-struct Target {
-    name: &'static str,
-    /// Longest input: a frame or two, the largest bank, an upload, a store with a bank in it.
-    max_len: u32,
-    /// Part of all executions, percent.
-    share: u64,
-}
+/// A fuzzed part of the firmware: its name; its longest input, a frame or two, the largest bank, an upload, a store with a
+/// bank in it; its part of all executions, percent.
+type Target = (&'static str, u32, u64);
 
 /// Two at a time, for two cores.
 const LANES: [&[Target]; 2] = [
-    &[target("decoder", 128, 45), target("session", 1024, 2)],
-    &[
-        target("bank", 2048, 40),
-        target("store", 4096, 3),
-        target("drives", 80, 10),
-    ],
+    &[("decoder", 128, 45), ("session", 1024, 2)],
+    &[("bank", 2048, 40), ("store", 4096, 3), ("drives", 80, 10)],
 ];
-
-const fn target(name: &'static str, max_len: u32, share: u64) -> Target {
-    Target {
-        name,
-        max_len,
-        share,
-    }
-}
 
 /// Result of one target.
 struct Outcome {
@@ -64,15 +47,10 @@ pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     let mut json = String::from("{\"targets\": [");
     println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
     for (place, outcome) in outcomes.iter().enumerate() {
-        let Outcome {
-            name,
-            executions,
-            per_second,
-            found,
-        } = outcome;
+        let (name, executions, per_second) = (outcome.name, outcome.executions, outcome.per_second);
         println!("{name:<10} {executions:>12} {per_second:>12}");
         let comma = if place == 0 { "" } else { ", " };
-        let crashes = u8::from(found.is_some());
+        let crashes = u8::from(outcome.found.is_some());
         write!(
             json,
             "{comma}{{\"name\": \"{name}\", \"executions\": {executions}, \"executions_per_s\": {per_second}, \
@@ -105,8 +83,8 @@ fn unpack() -> Result<()> {
     fs::create_dir_all(&home)?;
     shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))?;
     // A target may have seeds only.
-    for target in LANES.iter().copied().flatten() {
-        fs::create_dir_all(corpus(target.name))?;
+    for (name, ..) in LANES.iter().copied().flatten() {
+        fs::create_dir_all(corpus(name))?;
     }
     Ok(())
 }
@@ -129,32 +107,29 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
         .args(["--manifest-path", "tests/fuzz/engine/Cargo.toml"])
         .args(["--target-dir", "target/fuzz", "--target", &host])
         .env("RUSTFLAGS", COVERAGE);
-    for target in LANES.iter().copied().flatten() {
-        build.args(["--bin", target.name]);
+    for (name, ..) in LANES.iter().copied().flatten() {
+        build.args(["--bin", name]);
     }
     shell::run(&mut build)?;
     let lanes = LANES.each_ref().map(|lane| {
         let programs = format!("target/fuzz/{host}/release");
         thread::spawn(move || {
-            let targets = lane.iter();
-            targets
-                .map(|target| attack(target, &programs, runs * target.share / 100))
-                .collect::<Result<Vec<_>>>()
+            let outcomes = lane.iter().map(|&(name, max_len, share)| {
+                attack(name, max_len, &programs, runs * share / 100)
+            });
+            outcomes.collect::<Result<Vec<_>>>()
         })
     });
     let mut outcomes = Vec::new();
     for lane in lanes {
-        outcomes.extend(
-            lane.join()
-                .map_err(|_| anyhow!("a fuzzing thread panicked"))??,
-        );
+        let done = lane.join();
+        outcomes.extend(done.map_err(|_| anyhow!("a fuzzing thread panicked"))??);
     }
     Ok(outcomes)
 }
 
 /// Fuzzes one target, of the directory `programs`, and reads the report of libFuzzer.
-fn attack(target: &Target, programs: &str, runs: u64) -> Result<Outcome> {
-    let Target { name, max_len, .. } = target;
+fn attack(name: &'static str, max_len: u32, programs: &str, runs: u64) -> Result<Outcome> {
     let home = root().join(HOME).join(name);
     let (found, seeds) = (home.join("found"), home.join("seeds"));
     for directory in [&found, &seeds] {

@@ -1,7 +1,5 @@
 //! Set-up, demo, bench and test of foretorque in one command each.
 
-mod arm;
-mod capi;
 mod circles;
 mod flash;
 mod fuzz;
@@ -10,7 +8,6 @@ mod runs;
 mod setup;
 mod shell;
 mod test;
-mod toolchain;
 mod words;
 
 use std::num::NonZeroU64;
@@ -19,7 +16,6 @@ use std::process::ExitCode;
 use anyhow::Result;
 use lexopt::prelude::*;
 
-use flash::Board;
 use setup::Way;
 
 const HELP: &str = "\
@@ -62,24 +58,21 @@ script qemu-system-arm beside cargo starts it. To remove everything: `rustup too
 delete the directory and the script.
 ";
 
-/// Commands and the options each takes; all take `--toolchain`.
-const COMMANDS: [(&str, &[&str]); 13] = [
-    ("help", &[]),
-    ("setup", &["check"]),
-    ("demo", &[]),
-    ("test", &[]),
-    ("bench", &["accept"]),
-    ("faults", &["accept"]),
-    ("fuzz", &["runs"]),
-    ("flash", &["board", "image"]),
-    (
-        "arm",
-        &["urdf", "name", "base", "tip", "link-mass", "weld", "repair"],
-    ),
-    ("capi", &[]),
-    ("words", &[]),
-    ("circles", &[]),
-    ("mutants", &["runs"]),
+/// Commands and the options each takes, separated by spaces; all take `--toolchain`.
+const COMMANDS: [(&str, &str); 13] = [
+    ("help", ""),
+    ("setup", "check"),
+    ("demo", ""),
+    ("test", ""),
+    ("bench", "accept"),
+    ("faults", "accept"),
+    ("fuzz", "runs"),
+    ("flash", "board image"),
+    ("arm", "urdf name base tip link-mass weld repair"),
+    ("capi", ""),
+    ("words", ""),
+    ("circles", ""),
+    ("mutants", "runs"),
 ];
 
 /// The command line.
@@ -90,7 +83,8 @@ struct Request {
     check: bool,
     accept: bool,
     image: bool,
-    board: Board,
+    /// Binary of the board to flash.
+    binary: Option<&'static str>,
     runs: Option<u64>,
     urdf: Option<String>,
     name: Option<String>,
@@ -115,7 +109,7 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long("check") => request.check = true,
             Long("accept") => request.accept = true,
             Long("image") => request.image = true,
-            Long("board") => request.board = args.value()?.parse()?,
+            Long("board") => request.binary = Some(args.value()?.parse_with(flash::binary)?),
             Long("runs") => {
                 let number = args.value()?.parse::<NonZeroU64>();
                 request.runs = Some(number.map_err(|error| format!("--runs: {error}"))?.get());
@@ -140,7 +134,8 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
         return Err(format!("there is no command `{}`", request.command).into());
     };
     let mut options = options.iter().map(String::as_str);
-    match options.find(|option| *option != "toolchain" && !taken.contains(option)) {
+    let taken = taken.split(' ').chain(["toolchain"]);
+    match options.find(|option| !taken.clone().any(|one| one == *option)) {
         Some(option) => Err(format!("`cargo xtask {name}` takes no --{option}").into()),
         None => Ok(request),
     }
@@ -150,33 +145,27 @@ fn run(request: &Request) -> Result<()> {
     let forced = request.toolchain;
     match request.command.as_str() {
         "setup" if request.check => setup::check(forced),
-        "setup" => setup::run(forced).and_then(|_| capi::bring_compiler()),
+        "setup" => setup::run(forced).and_then(|_| outside::bring_compiler()),
         "demo" => runs::demo(forced),
         "test" => test::run(forced),
         "bench" => runs::bench(forced, request.accept),
         "faults" => runs::faults(forced, request.accept),
         "fuzz" => fuzz::run(forced, request.runs.unwrap_or(fuzz::RUNS)),
-        "flash" => flash::run(forced, request.board, request.image),
+        "flash" => flash::run(forced, request.binary, request.image),
         "arm" => match (&request.urdf, &request.name) {
-            (Some(urdf), Some(name)) => arm::run(forced, urdf, name, &request.selection),
+            (Some(urdf), Some(name)) => runs::arm(forced, urdf, name, &request.selection),
             _ => anyhow::bail!("`cargo xtask arm` needs --urdf FILE and --name NAME"),
         },
-        "capi" => capi::run(forced),
+        "capi" => outside::capi(forced),
         "words" => words::run(),
         "circles" => circles::run(),
         // A package of its own: the parser of Rust must not delay the other commands.
-        "mutants" => shell::run(
-            shell::command("cargo")
-                .args([
-                    "run",
-                    "--quiet",
-                    "--release",
-                    "-p",
-                    "foretorque-mutants",
-                    "--",
-                ])
-                .args(request.runs.map(|runs| runs.to_string())),
-        ),
+        "mutants" => {
+            let mut mutants = shell::command("cargo");
+            mutants.args(["run", "--quiet", "--release"]);
+            mutants.args(["-p", "foretorque-mutants", "--"]);
+            shell::run(mutants.args(request.runs.map(|runs| runs.to_string())))
+        }
         _ => {
             print!("{HELP}");
             Ok(())
@@ -224,7 +213,7 @@ mod tests {
         demo.toolchain = Some(Way::Debian);
         assert_eq!(request("--toolchain=debian demo"), Ok(demo));
         let mut flash = command("flash");
-        (flash.board, flash.image) = ("pyboard".parse().unwrap(), true);
+        (flash.binary, flash.image) = (Some("joint-pyboard"), true);
         assert_eq!(request("flash --image --board pyboard"), Ok(flash));
         let mut fuzz = command("fuzz");
         fuzz.runs = Some(7);

@@ -1,12 +1,13 @@
-//! Crates outside this workspace, as a user has them: they link, few crates come along, and the library can be packaged.
+//! Code outside this workspace, as a user has it. Crates: they link, few others come along, and the library can be packaged.
+//! The library for C: static library, and the example in C that the tests run in the emulator.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 
-use crate::shell::{self, capture};
-use crate::toolchain::{TARGET, Toolchain, Tools};
+use crate::setup::{self, Way};
+use crate::shell::{self, PROFILE, TARGET, Toolchain, Tools, capture, command};
 
 /// Manifest of a user's crate with its own arm and critical section.
 const OWN_ARM: &str = "firmware/foretorque/examples/own_arm/Cargo.toml";
@@ -71,6 +72,58 @@ fn judge(tree: &str) -> Result<usize> {
         bail!("`{name}` comes along with foretorque");
     }
     Ok(crates.len())
+}
+
+/// C's own half of the example, from the workspace's root.
+const PLACE: &str = "firmware/capi";
+/// The compiler of the example in C.
+const COMPILER: &str = "arm-none-eabi-gcc";
+
+/// Installs the compiler, unless it is here.
+pub(crate) fn bring_compiler() -> Result<()> {
+    setup::bring_program(COMPILER, "gcc-arm-none-eabi")
+}
+
+/// Sets up, compiler for C included, and builds both.
+pub(crate) fn capi(forced: Option<Way>) -> Result<()> {
+    let tools = setup::run(forced)?;
+    bring_compiler()?;
+    build_capi(tools)?;
+    println!(
+        "library: {}\nheader:  {PLACE}/include/foretorque.h\nexample: {}",
+        shell::elf("libforetorque_capi.a").display(),
+        shell::elf("capi-example").display()
+    );
+    Ok(())
+}
+
+/// Builds the static library, whose link proves that nothing in it panics, and the example.
+pub(crate) fn build_capi(tools: Tools) -> Result<()> {
+    let mut library = tools.board.tool("cargo");
+    library.args(["rustc", "--profile", PROFILE, "--target", TARGET]);
+    library.args(["-p", "foretorque-capi", "--lib"]);
+    library.args(["--crate-type", "staticlib"]);
+    shell::run(&mut library)?;
+
+    let place = shell::root().join(PLACE);
+    let example = place.join("example");
+    let mut compiler = command(COMPILER);
+    compiler
+        .args(["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard"])
+        .args(["-mfpu=fpv4-sp-d16", "-std=c11", "-O2", "-Wall", "-Wextra"])
+        // The example compares bits with another machine: no fused operations.
+        .args(["-Werror", "-ffp-contract=off"])
+        .args(["-ffreestanding", "-nostdlib"])
+        .arg("-I")
+        .arg(place.join("include"))
+        .arg(example.join("main.c"))
+        .arg(example.join("startup.c"))
+        .arg(shell::elf("libforetorque_capi.a"))
+        .arg("-T")
+        .arg(example.join("link.ld"))
+        .args(["-Wl,--gc-sections", "-Wl,-z,noexecstack", "-o"])
+        .arg(shell::elf("capi-example"));
+    shell::run(&mut compiler).context("the example in C does not build")
 }
 
 #[cfg(test)]

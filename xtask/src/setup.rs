@@ -9,8 +9,9 @@ use std::{env, fmt, process};
 
 use anyhow::{Context as _, Result, anyhow, bail};
 
-use crate::shell::{self, capture, command, run_bounded, timed};
-use crate::toolchain::{TARGET, Toolchain, Tools, linked_name};
+use crate::shell::{
+    self, TARGET, Toolchain, Tools, capture, command, linked_name, run_bounded, timed,
+};
 
 /// Bound on rustup if other ways are left, and if it is the only one.
 const RUSTUP_LIMIT_S: u32 = 60;
@@ -161,12 +162,8 @@ fn builds_for_board(toolchain: Toolchain) -> bool {
     let mut rustc = toolchain.tool("rustc");
     rustc
         .args(["--edition=2024", "--target", TARGET, "-Cpanic=abort"])
-        .args([
-            "-Copt-level=1",
-            "-Clto=fat",
-            "-Ccodegen-units=1",
-            "--out-dir",
-        ])
+        .args(["-Copt-level=1", "-Clto=fat", "-Ccodegen-units=1"])
+        .arg("--out-dir")
         .args([&place, &shell::root().join("xtask/smoke.rs")]);
     let built = capture(&mut rustc).is_some();
     let _ = fs::remove_dir_all(&place);

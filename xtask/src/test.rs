@@ -9,13 +9,11 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail};
 use foretorque_cost as cost;
 
-use crate::arm;
-use crate::capi;
 use crate::circles;
 use crate::outside;
+use crate::runs;
 use crate::setup::{self, Way};
-use crate::shell::{self, command, line};
-use crate::toolchain::{self, Tools};
+use crate::shell::{self, Tools, command, line};
 use crate::words;
 
 /// Result of a gate.
@@ -26,19 +24,10 @@ struct Outcome {
 }
 
 /// Tests that passed and failed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Counts {
-    passed: u32,
-    failed: u32,
-}
+type Counts = [u32; 2];
 
-impl Counts {
-    fn plus(self, other: Self) -> Self {
-        Self {
-            passed: self.passed + other.passed,
-            failed: self.failed + other.failed,
-        }
-    }
+fn sum([passed, failed]: Counts, [more_passed, more_failed]: Counts) -> Counts {
+    [passed + more_passed, failed + more_failed]
 }
 
 /// Sets up, passes every gate, and ends with a table of the gates and the counts of the tests.
@@ -56,7 +45,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     // Linking an image takes one core: the other one has the docs.
     outcomes.extend(side_by_side([images(tools), documents()]));
     // After the builds, because the tests run the board's ELF files.
-    let mut counts = Counts::default();
+    let mut counts = [0; 2];
     outcomes.push(pass("tests", || {
         let (seen, ended_well) =
             count_tests(command("cargo").args(["test", "--workspace", "--no-fail-fast"]))?;
@@ -74,7 +63,8 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     }
     let seconds = start.elapsed().as_secs_f64();
     println!("{:<16} {:<7} {seconds:>8.1}\n", "all", "");
-    println!("{} passed, {} failed", counts.passed, counts.failed);
+    let [passed, failed] = counts;
+    println!("{passed} passed, {failed} failed");
     let failed = outcomes.iter().filter(|outcome| !outcome.passed);
     let failed: Vec<_> = failed.map(|outcome| outcome.name).collect();
     if !failed.is_empty() {
@@ -150,17 +140,17 @@ fn images(tools: Tools) -> Vec<Gate> {
     vec![
         gate("7 and 8 joints", move || {
             let host_sim = shell::root().join("target/debug/host-sim");
-            arm::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
+            runs::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
         }),
         // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
         runs("firmware", firmware),
         gate("linked firmware", || {
             let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-            cost::check_firmware(&toolchain::elves(), &names)
+            cost::check_firmware(&shell::elves(), &names)
         }),
         gate("library for C", move || {
-            capi::bring_compiler()?;
-            capi::build(tools)
+            outside::bring_compiler()?;
+            outside::build_capi(tools)
         }),
     ]
 }
@@ -199,12 +189,12 @@ fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
         .stdout
         .take()
         .context("cargo has no standard output")?;
-    let mut seen = Counts::default();
+    let mut seen = [0; 2];
     for bytes in BufReader::new(pipe).split(b'\n') {
         let bytes = bytes?;
         let text = String::from_utf8_lossy(&bytes);
         println!("{text}");
-        seen = seen.plus(parse_result(&text).unwrap_or_default());
+        seen = sum(seen, parse_result(&text).unwrap_or_default());
     }
     Ok((seen, child.wait()?.success()))
 }
@@ -219,19 +209,12 @@ fn parse_result(line: &str) -> Option<Counts> {
         rest.split("; ")
             .find_map(|part| part.trim().strip_suffix(word)?.trim().parse().ok())
     };
-    Some(Counts {
-        passed: number("passed")?,
-        failed: number("failed")?,
-    })
+    Some([number("passed")?, number("failed")?])
 }
 
 /// A test program that crashed or did not compile prints no result line: it counts as one failure all the same.
-fn attribute(seen: Counts, ended_well: bool) -> Counts {
-    let silent = !ended_well && seen.failed == 0;
-    Counts {
-        failed: seen.failed + u32::from(silent),
-        ..seen
-    }
+fn attribute([passed, failed]: Counts, ended_well: bool) -> Counts {
+    [passed, failed.max(u32::from(!ended_well))]
 }
 
 #[cfg(test)]
@@ -249,16 +232,13 @@ test result: FAILED. 12 passed; 2 failed; 0 ignored; 0 measured; 0 filtered out;
 all doctests ran in 0.31s; merged doctests compilation took 0.20s
 test result: nonsense";
         let results = output.lines().filter_map(parse_result);
-        let sum = results.fold(Counts::default(), Counts::plus);
-        let (passed, failed) = (15, 2);
-        assert_eq!(sum, Counts { passed, failed });
+        assert_eq!(results.fold([0; 2], sum), [15, 2]);
     }
 
     #[test]
     fn a_test_program_that_dies_without_a_result_line_is_a_failure() {
         for (failed, ended_well, expected) in [(0, false, 1), (0, true, 0), (2, false, 2)] {
-            let seen = Counts { passed: 7, failed };
-            assert_eq!(attribute(seen, ended_well).failed, expected);
+            assert_eq!(attribute([7, failed], ended_well), [7, expected]);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Counters of the board.
 
-use crate::division::div_u64_by_u32;
+use crate::div_u64_by_u32;
 use crate::store::StoreHealth;
 use serde::{Deserialize, Serialize};
 

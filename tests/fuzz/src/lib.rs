@@ -4,14 +4,13 @@
 //! would have done it, and the reader behind the checksum gets the bytes that the fuzzer wanted it to get.
 
 mod drives;
-mod flash;
 mod seeds;
 
 pub use drives::drives;
 pub use seeds::{plant, seeds};
 
 use crc::{CRC_32_ISO_HDLC, Crc};
-use flash::TinyFlash;
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
@@ -22,13 +21,12 @@ use foretorque_link::safety::promises::Promises;
 use foretorque_link::session::{
     BoardDescription, Housekeeping, Mailboxes, NoClock, NoLocalSensor, Session,
 };
-use foretorque_link::store::Store;
+use foretorque_link::store::{SLOT_BYTES, Store};
 use foretorque_link::wire::{
-    BoardMessage, Capabilities, Configuration, Decoder, FrameBuffer, HostMessage, MAX_FRAME,
-    PROTOCOL_VERSION, encode,
+    BoardMessage, Capabilities, Configuration, DecodeError, Decoder, FrameBuffer, HostMessage,
+    MAX_FRAME, PROTOCOL_VERSION, encode,
 };
 use serde::{Serialize, de::DeserializeOwned};
-use std::fmt::Debug;
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -56,23 +54,27 @@ fn sealed(sequence: u16, message: &[u8]) -> Vec<u8> {
     frame
 }
 
+/// Whether the first byte asks for a seal, and the bytes behind it.
+fn sealing(input: &[u8]) -> (bool, &[u8]) {
+    let parts = input.split_first();
+    parts.map_or((false, input), |(first, rest)| (first % 2 == 0, rest))
+}
+
 /// The bytes as a line would carry them: as they are, or every run up to a delimiter as a sealed frame.
 fn line(input: &[u8]) -> Vec<u8> {
-    match input.split_first() {
-        Some((first, rest)) if first % 2 == 0 => {
-            // The length in front of each message: a delimiter would be a byte that no message can hold.
-            let (mut bytes, mut rest, mut sequence) = (Vec::new(), rest, 0u16);
-            while let Some((&length, behind)) = rest.split_first() {
-                let (message, behind) = behind.split_at(behind.len().min(length.into()));
-                sequence = sequence.wrapping_add(1);
-                bytes.extend(sealed(sequence, message));
-                rest = behind;
-            }
-            bytes
-        }
-        Some((_, rest)) => rest.to_vec(),
-        None => Vec::new(),
+    let (seal, mut rest) = sealing(input);
+    if !seal {
+        return rest.to_vec();
     }
+    // The length in front of each message: a delimiter would be a byte that no message can hold.
+    let (mut bytes, mut sequence) = (Vec::new(), 0u16);
+    while let Some((&length, behind)) = rest.split_first() {
+        let (message, behind) = behind.split_at(behind.len().min(length.into()));
+        sequence = sequence.wrapping_add(1);
+        bytes.extend(sealed(sequence, message));
+        rest = behind;
+    }
+    bytes
 }
 
 /// The frame decoder: never more frames than delimiters, every message that is read is written and read again as the same,
@@ -101,9 +103,7 @@ pub fn decoder(input: &[u8]) {
 }
 
 /// A message keeps its bytes when it is read, written and read again. NaN is compared by its bits.
-fn again<M: Serialize + DeserializeOwned + Debug>(
-    message: Result<M, foretorque_link::wire::DecodeError>,
-) {
+fn again<M: Serialize + DeserializeOwned>(message: Result<M, DecodeError>) {
     let Ok(message) = message else { return };
     let (mut first, mut second) = ([0; MAX_FRAME], [0; MAX_FRAME]);
     let bytes = encode(1, &message, &mut first).expect("a message that came in a frame fits one");
@@ -122,17 +122,12 @@ fn again<M: Serialize + DeserializeOwned + Debug>(
 
 /// The bank loader: what it reads it writes and reads again as the same, and what it lets through is usable by the tick.
 pub fn bank(input: &[u8]) {
-    let bytes = match input.split_first() {
-        Some((first, rest)) if first % 2 == 0 => {
-            let mut bytes = b"FTPB\x01".to_vec();
-            bytes[4] = ParameterBank::FORMAT_VERSION;
-            bytes.extend(rest);
-            bytes.extend(CRC.checksum(&bytes).to_le_bytes());
-            bytes
-        }
-        Some((_, rest)) => rest.to_vec(),
-        None => Vec::new(),
-    };
+    let (seal, rest) = sealing(input);
+    let mut bytes = rest.to_vec();
+    if seal {
+        bytes = [b"FTPB", &[ParameterBank::FORMAT_VERSION][..], rest].concat();
+        bytes.extend(CRC.checksum(&bytes).to_le_bytes());
+    }
     let Ok(bank) = ParameterBank::decode(&bytes) else {
         return;
     };
@@ -170,10 +165,8 @@ enum Event {
 /// The input as frames and periods of the timer: after an even first byte every length below 240 seals a message, and the
 /// others are periods; otherwise a period follows every 64 bytes.
 fn events(input: &[u8]) -> Vec<Event> {
-    let Some((first, mut rest)) = input.split_first() else {
-        return Vec::new();
-    };
-    if first % 2 == 1 {
+    let (seal, mut rest) = sealing(input);
+    if !seal {
         let pieces = rest.chunks(64).map(<[u8]>::to_vec);
         return pieces
             .flat_map(|piece| [Event::Bytes(piece), Event::Periods(1)])
@@ -233,15 +226,11 @@ impl Observed {
 
     /// Bytes up to a delimiter: before it a board acts on none.
     fn frame(&mut self, bytes: &[u8]) {
-        self.session.receive(
-            bytes,
-            &mut self.mailboxes,
-            &mut self.out,
-            &mut NoLocalSensor,
-        );
-        if self.housekeeping.work(&mut self.mailboxes.parameters) {
-            self.session
-                .poll_parameters(&mut self.mailboxes, &mut self.out);
+        let (mailboxes, out) = (&mut self.mailboxes, &mut self.out);
+        self.session
+            .receive(bytes, mailboxes, out, &mut NoLocalSensor);
+        if self.housekeeping.work(&mut mailboxes.parameters) {
+            self.session.poll_parameters(mailboxes, out);
         }
         let mut message = None;
         for &byte in bytes {
@@ -303,13 +292,10 @@ impl Observed {
 }
 
 fn promises(session: &Session<Ur5, 6, 40>) -> Promises<6> {
-    let Configuration {
-        period_us,
-        brake_close_ms,
-        ..
-    } = session.configuration();
-    let limits = SafetyLimits::for_arm::<Ur5, 40>(period_us);
-    let limits = limits.with_brake(1000 * u32::from(brake_close_ms), period_us);
+    let configuration = session.configuration();
+    let period_us = configuration.period_us;
+    let close_us = 1000 * u32::from(configuration.brake_close_ms);
+    let limits = SafetyLimits::for_arm::<Ur5, 40>(period_us).with_brake(close_us, period_us);
     Promises::new(limits, session.feed_forward().config())
 }
 
@@ -329,6 +315,76 @@ pub fn session(input: &[u8]) {
     }
 }
 
+const SECTOR: usize = SLOT_BYTES as usize;
+
+/// Flash of two sectors with one slot each, that begins with the fuzzer's bytes.
+struct TinyFlash {
+    bytes: [u8; 2 * SECTOR],
+}
+
+impl TinyFlash {
+    /// The first half of `content` at the front of the first sector, the rest at that of the second. An even first byte
+    /// seals what follows it in each: the checksum of the header is put right.
+    fn with(content: &[u8]) -> Self {
+        let mut bytes = [0xFF; 2 * SECTOR];
+        let (seal, content) = sealing(content);
+        let halves = content.split_at(content.len() / 2);
+        for (sector, half) in bytes.chunks_mut(SECTOR).zip([halves.0, halves.1]) {
+            for (to, from) in sector.iter_mut().zip(half) {
+                *to = *from;
+            }
+            if let (true, Some((header, body))) = (seal, sector.split_at_mut_checked(32)) {
+                let length = u32::from_le_bytes([header[16], header[17], header[18], header[19]]);
+                let body = body.get(..length as usize).unwrap_or_default();
+                header[20..24].copy_from_slice(&CRC.checksum(body).to_le_bytes());
+                let check = CRC.checksum(&header[..28]);
+                header[28..].copy_from_slice(&check.to_le_bytes());
+            }
+        }
+        Self { bytes }
+    }
+}
+
+impl ErrorType for TinyFlash {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for TinyFlash {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        let start = offset as usize;
+        let from = self.bytes.get(start..start + bytes.len());
+        bytes.copy_from_slice(from.ok_or(NorFlashErrorKind::OutOfBounds)?);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+impl NorFlash for TinyFlash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        let sectors = self.bytes.get_mut(from as usize..to as usize);
+        sectors.ok_or(NorFlashErrorKind::OutOfBounds)?.fill(0xFF);
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        let start = offset as usize;
+        let words = self.bytes.get_mut(start..start + bytes.len());
+        let words = words.ok_or(NorFlashErrorKind::OutOfBounds)?;
+        for (to, from) in words.iter_mut().zip(bytes) {
+            *to &= from;
+        }
+        Ok(())
+    }
+}
+
 /// The store over flash with any content: what is loaded is whole, and a save into it is either refused or kept.
 pub fn store(input: &[u8]) {
     let mut store = Store::new(TinyFlash::with(input));
@@ -341,11 +397,8 @@ pub fn store(input: &[u8]) {
     let store = housekeeping.store_mut().expect("it has one");
     assert!(before.is_ok() || loaded.is_err());
     let bytes = input.get(..64).unwrap_or(input);
-    match store.save(Ur5::HASH, bytes) {
-        Ok(_) => assert_eq!(store.load(Ur5::HASH, &mut buffer), Ok(bytes)),
-        Err(_) => assert_eq!(
-            store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec),
-            before
-        ),
-    }
+    let saved = store.save(Ur5::HASH, bytes);
+    let expected = saved.map_or(before, |_| Ok(bytes.to_vec()));
+    let after = store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec);
+    assert_eq!(after, expected);
 }

@@ -1,7 +1,6 @@
 //! The committed budget: `docs/budget.md` is both the page people read and the table that `cargo xtask bench` compares with.
 
-mod page;
-
+use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
@@ -15,6 +14,14 @@ const FOREIGN_MARGIN: f64 = 0.05;
 
 /// Margin of a newly accepted value.
 const FRESH_MARGIN: f64 = 0.02;
+
+const TOOLCHAIN: &str = "Toolchain: ";
+
+/// Head of the table; the first columns are measured, those between are for people.
+const TABLE: &str = "\
+| quantity | value | limit | to reach | best peer | who | how measured |
+|---|---:|---:|---:|---:|---|---|
+";
 
 /// One line of the table.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -81,6 +88,77 @@ impl Budget {
         written.with_context(|| format!("cannot write {PAGE}"))
     }
 
+    fn parse(text: &str) -> Result<Self> {
+        let (introduction, rest) = text
+            .split_once(TOOLCHAIN)
+            .context("there is no line `Toolchain: …`")?;
+        let toolchain = rest.lines().next().unwrap_or_default().trim();
+        let last = text.rsplit_once("\n| `").map_or("", |(_, last)| last);
+        let rest = last.split_once('\n').map_or("", |(_, rest)| rest);
+        let (mut lines, mut raises) = (Vec::new(), Vec::new());
+        for row in text.lines() {
+            if !row.starts_with("| `") && !row.starts_with("| raise |") {
+                continue;
+            }
+            let number = |cell: &str| {
+                let number = cell.parse();
+                number.with_context(|| format!("`{cell}` is no number in: {row}"))
+            };
+            let optional = |cell: &str| match cell {
+                "" => Ok(None),
+                _ => number(cell).map(Some),
+            };
+            let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
+            match cells[..] {
+                ["raise", quantity, old, new, why] => {
+                    ensure!(!why.is_empty(), "a raise without a reason: {row}");
+                    raises.push(Raise {
+                        quantity: quantity.replace('`', ""),
+                        old: number(old)?,
+                        new: number(new)?,
+                    });
+                }
+                [quantity, value, limit, reach, peer, who, how] => lines.push(Line {
+                    quantity: quantity.replace('`', ""),
+                    value: number(value)?,
+                    limit: number(limit)?,
+                    reach: optional(reach)?,
+                    peer: optional(peer)?,
+                    who: who.into(),
+                    how: how.into(),
+                }),
+                _ => bail!("not seven cells, nor a raise: {row}"),
+            }
+        }
+        Ok(Self {
+            introduction: introduction.into(),
+            toolchain: toolchain.into(),
+            lines,
+            raises,
+            rest: rest.into(),
+        })
+    }
+
+    fn page(&self) -> String {
+        let (introduction, toolchain) = (&self.introduction, &self.toolchain);
+        let mut page = format!("{introduction}{TOOLCHAIN}{toolchain}\n\n{TABLE}");
+        let number = |cell: Option<u64>| cell.map_or(String::new(), |value| value.to_string());
+        for line in &self.lines {
+            let _ = writeln!(
+                page,
+                "| `{}` | {} | {} | {} | {} | {} | {} |",
+                line.quantity,
+                line.value,
+                line.limit,
+                number(line.reach),
+                number(line.peer),
+                line.who,
+                line.how
+            );
+        }
+        page + &self.rest
+    }
+
     /// Limits that exceed the margin over their value without a line of a raise, one sentence each.
     fn unexplained(&self, measured: &[Measured]) -> Vec<String> {
         let explained = |line: &Line| {
@@ -123,24 +201,22 @@ impl Budget {
                 100.0 * FOREIGN_MARGIN
             ));
         }
-        for Measured {
-            quantity, value, ..
-        } in measured
-        {
+        for m in measured {
+            let (quantity, value) = (&m.quantity, m.value);
             let Some(line) = self.line(quantity) else {
                 exceeded.push(format!("{quantity}: {value} has no budget"));
                 continue;
             };
             let (before, limit) = (line.value, line.limit as f64 * (1.0 + margin));
-            if *value as f64 > limit {
+            if value as f64 > limit {
                 exceeded.push(format!(
                     "{quantity}: {value} exceeds {limit:.0} (was {before})"
                 ));
             } else if foreign {
                 // The difference is the compiler's, not a change of the code.
-            } else if *value < before {
+            } else if value < before {
                 notes.push(format!("{quantity}: improved from {before} to {value}"));
-            } else if *value > before {
+            } else if value > before {
                 let limit = line.limit;
                 notes.push(format!(
                     "{quantity}: grew from {before} to {value}, within {limit}"
@@ -162,14 +238,9 @@ impl Budget {
             bail!("{first}");
         }
         let mut lines = Vec::new();
-        for Measured {
-            quantity,
-            value,
-            how,
-            allowed,
-        } in measured
-        {
-            let fresh = fresh(*value);
+        for m in measured {
+            let (quantity, value) = (&m.quantity, m.value);
+            let fresh = fresh(value);
             let line = self.line(quantity);
             let before = line.map_or(fresh, |line| line.limit);
             // A raise counts from the limit that it names.
@@ -179,21 +250,21 @@ impl Budget {
             };
             // A goal that is reached is kept.
             let reach = line.and_then(|line| line.reach);
-            let goal = reach.filter(|goal| value <= goal).unwrap_or(u64::MAX);
-            let limit = allowed.unwrap_or(before.min(fresh).min(goal));
+            let goal = reach.filter(|&goal| value <= goal).unwrap_or(u64::MAX);
+            let limit = m.allowed.unwrap_or(before.min(fresh).min(goal));
             ensure!(
-                *value <= limit,
+                value <= limit,
                 "{quantity}: {value} exceeds {limit}; a raise is a line under the table of {PAGE}: \
                  | raise | `{quantity}` | {limit} | {fresh} | why |"
             );
             lines.push(Line {
                 quantity: quantity.clone(),
-                value: *value,
+                value,
                 limit,
                 reach,
                 peer: line.and_then(|line| line.peer),
                 who: line.map_or(String::new(), |line| line.who.clone()),
-                how: how.clone(),
+                how: m.how.clone(),
             });
         }
         Ok(Self {

@@ -5,15 +5,10 @@
 
 mod budget;
 mod calls;
-mod cycles;
 mod emulator;
-mod gates;
+mod firmware;
 mod image;
-mod memory;
-mod report;
 mod row;
-mod spread;
-mod step;
 mod thumb;
 mod trace;
 
@@ -23,10 +18,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 
 use budget::{Budget, Measured};
+use emulator::{PERMILLE_LIMIT, Spread};
+use firmware::Memory;
 use image::Image;
-use memory::Memory;
 use row::Row;
-use spread::{PERMILLE_LIMIT, Spread};
 
 /// The firmware with a budget.
 pub const JOINT: &str = "joint";
@@ -56,7 +51,7 @@ pub fn bench(
 ) -> Result<()> {
     let (rows, spread) = row::measure(&elves.join("bench"))?;
     let joint = Image::read(&elves.join(JOINT))?;
-    let reached = gates::check(&joint)?;
+    let reached = firmware::check(&joint)?;
     let memory = Memory::of(&joint)?;
     let drive = firmware(elves, DRIVE)?;
     let can = firmware(elves, CAN)?;
@@ -72,13 +67,13 @@ pub fn bench(
         budget = budget.accept(toolchain, &measured)?;
         budget.write(root)?;
     }
-    println!("\n{}", report::table(&rows, &memory, &budget));
+    println!("\n{}", row::table(&rows, &memory, &budget));
     println!(
         "{DRIVE}: {} B flash, {} B static RAM; worst stack of the tick {} B\n",
         drive.flash_bytes, drive.ram_bytes, drive.stack_bytes
     );
-    println!("{}", memory::by_module_table(&joint));
-    println!("{}\n", report::spread(&spread));
+    println!("{}", firmware::by_module_table(&joint));
+    println!("{}\n", row::spread(&spread));
     println!(
         "gates: no handler reaches a panic, software f64 or an allocator ({reached} functions seen)"
     );
@@ -86,7 +81,7 @@ pub fn bench(
     if let Some(parent) = out.parent() {
         fs::create_dir_all(parent)?;
     }
-    let json = report::json(toolchain, &rows, &spread, &memory, &budget);
+    let json = row::json(toolchain, &rows, &spread, &memory, &budget);
     fs::write(&out, json).with_context(|| format!("cannot write {}", out.display()))?;
     println!("figures: {OUT}");
 
@@ -120,7 +115,7 @@ pub fn sizes(elf: &Path) -> Result<(u32, u32)> {
 fn firmware(elves: &Path, name: &str) -> Result<Memory> {
     let check = || -> Result<_> {
         let image = Image::read(&elves.join(name))?;
-        Ok((gates::check(&image)?, Memory::of(&image)?))
+        Ok((firmware::check(&image)?, Memory::of(&image)?))
     };
     let (reached, memory) = check().with_context(|| format!("firmware `{name}`"))?;
     println!(

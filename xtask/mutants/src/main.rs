@@ -6,7 +6,6 @@
 //! `named.txt`, and a sample of all changes of expressions and statements in the modules that limit torque. Constants and
 //! `const` functions take no switch; the named mutants change constants where they are used.
 
-mod judge;
 mod places;
 mod tree;
 
@@ -79,7 +78,7 @@ fn campaign(count: usize) -> Result<()> {
     for (mutant, name) in mutants.iter().zip(&names) {
         ensure!(mutant.is_some(), "mutant `{name}` does not compile");
     }
-    let judges = judge::all(&tree, &programs)?;
+    let judges = tree::judges(&tree, &programs)?;
     println!(
         "{} tests, ready after {:.0} s",
         judges.len(),
@@ -89,11 +88,8 @@ fn campaign(count: usize) -> Result<()> {
     for (number, mutant) in (1..).zip(&mutants) {
         let Some(mutant) = mutant else { continue };
         let name = names.get(number as usize - 1);
-        let label = match name {
-            Some(name) => name.clone(),
-            None => mutant.label(),
-        };
-        let killer = judge::killer(&judges, number)?;
+        let label = name.map_or_else(|| mutant.label(), String::clone);
+        let killer = tree::killer(&judges, number)?;
         println!(
             "{:>6.0} s {number:>4} {:<40} {label}",
             start.elapsed().as_secs_f64(),
@@ -201,10 +197,9 @@ impl Report {
     fn read(root: &Path) -> Result<Self> {
         let text = fs::read_to_string(root.join(REPORT)).unwrap_or_default();
         let reasons = text.lines().filter_map(|line| line.split_once(" | "));
+        let reasons = reasons.map(|(label, reason)| (label.into(), reason.into()));
         Ok(Self {
-            reasons: reasons
-                .map(|(label, reason)| (label.into(), reason.into()))
-                .collect(),
+            reasons: reasons.collect(),
             counts: [(0, 0); 2],
             live: Vec::new(),
         })
@@ -275,7 +270,7 @@ mod tests {
                 .or_insert_with(Vec::new)
                 .push(mutant.place);
         }
-        assert!(files.len() > 30);
+        assert!(files.len() > 20);
         for (file, places) in files {
             let text = fs::read_to_string(root().join(&file)).unwrap();
             let numbered: Vec<_> = (1..).zip(&places).collect();

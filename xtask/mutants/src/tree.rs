@@ -1,10 +1,13 @@
-//! Copy of the workspace in which all mutants of a campaign are compiled at once, each behind a switch.
+//! Copy of the workspace in which all mutants of a campaign are compiled at once, each behind a switch, and its tests as judges:
+//! which of them reach a mutant, and which fail on it.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::Value;
@@ -79,13 +82,8 @@ impl Tree {
     pub(crate) fn new(root: &Path) -> Result<Self> {
         let copy = root.join("target/mutants");
         let listed = Command::new("git")
-            .args([
-                "ls-files",
-                "-z",
-                "--cached",
-                "--others",
-                "--exclude-standard",
-            ])
+            .args(["ls-files", "-z", "--cached", "--others"])
+            .arg("--exclude-standard")
             .current_dir(root)
             .output()?;
         ensure!(listed.status.success(), "`git ls-files` failed");
@@ -104,21 +102,19 @@ impl Tree {
     pub(crate) fn plant(&self, mutants: &mut [Option<Mutant>]) -> Result<()> {
         ensure!(mutants.len() < MOST, "more than {MOST} mutants");
         let (_, sources) = PACKAGES[0];
-        write(
-            &self.copy.join(sources).join("mutation.rs"),
-            SWITCH.as_bytes(),
-        )?;
+        let copy = self.copy.join(sources);
+        write(&copy.join("mutation.rs"), SWITCH.as_bytes())?;
         let lib = fs::read_to_string(self.root.join(sources).join("lib.rs"))?;
         let lib = lib + "\npub mod mutation;\n";
-        write(&self.copy.join(sources).join("lib.rs"), lib.as_bytes())?;
+        write(&copy.join("lib.rs"), lib.as_bytes())?;
         let check = ["check", "--lib", "--message-format=json"];
-        self.until_it_compiles(check, mutants).map(|_| ())
+        self.until_it_compiles(&check, mutants).map(|_| ())
     }
 
     /// Builds the library tests, without the mutants that do not compile in them; the programs.
     pub(crate) fn build(&self, mutants: &mut [Option<Mutant>]) -> Result<Vec<PathBuf>> {
         let test = ["test", "--lib", "--no-run", "--message-format=json"];
-        let output = self.until_it_compiles(test, mutants)?;
+        let output = self.until_it_compiles(&test, mutants)?;
         let programs = messages(&output)
             .filter_map(|message| message["executable"].as_str().map(PathBuf::from))
             .collect::<Vec<_>>();
@@ -127,14 +123,10 @@ impl Tree {
     }
 
     /// Calls cargo, and drops the mutants at its errors, until there are none.
-    fn until_it_compiles<const ARGS: usize>(
-        &self,
-        args: [&str; ARGS],
-        mutants: &mut [Option<Mutant>],
-    ) -> Result<Vec<u8>> {
+    fn until_it_compiles(&self, args: &[&str], mutants: &mut [Option<Mutant>]) -> Result<Vec<u8>> {
         for _ in 0..20 {
             let ranges = self.write_mutants(mutants)?;
-            let mut cargo = self.cargo(&args);
+            let mut cargo = self.cargo(args);
             let output = cargo.stderr(Stdio::null()).output()?;
             if output.status.success() {
                 return Ok(output.stdout);
@@ -143,8 +135,7 @@ impl Tree {
             let mut dropped = 0;
             for (file, at) in &errors {
                 let inside = ranges.get(file).into_iter().flatten();
-                let inside =
-                    inside.filter(|(_, range)| range.start <= at.start && at.start < range.end);
+                let inside = inside.filter(|(_, range)| range.contains(&at.start));
                 if let Some((number, _)) = inside.min_by_key(|(_, range)| range.len()) {
                     let mutant = &mut mutants[*number as usize - 1];
                     dropped += usize::from(mutant.take().is_some());
@@ -222,4 +213,109 @@ fn errors(output: &[u8]) -> Vec<(String, Range<usize>)> {
         }
     }
     found
+}
+
+/// One test of a library.
+pub(crate) struct Judge {
+    program: PathBuf,
+    directory: PathBuf,
+    name: String,
+    time: Duration,
+    /// Numbers of the mutants that it executes.
+    reached: Vec<u32>,
+    /// Evaluations of switches without a mutant: at least this many, at most twice as many.
+    calls: u64,
+}
+
+/// Evaluations of switches, in multiples of those without a mutant, after which a mutant loops.
+const LOOPS: u64 = 32;
+
+impl Judge {
+    fn command(&self, mutant: u32) -> Command {
+        let mut command = Command::new(&self.program);
+        command
+            .args(["--exact", &self.name, "--test-threads=1", "--quiet"])
+            .current_dir(&self.directory)
+            .env("FORETORQUE_MUTANT", mutant.to_string())
+            .env("FORETORQUE_CALLS", (LOOPS * self.calls).to_string())
+            // The same inputs for every mutant.
+            .env("PROPTEST_RNG_SEED", "1")
+            .env("PROPTEST_FAILURE_PERSISTENCE", "off")
+            .env("RUST_BACKTRACE", "0")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
+        command
+    }
+
+    /// The test passes on a mutant. A mutant that loops fails it by the count of its switches; one that loops without a
+    /// switch is stopped some time later, and passes: no verdict depends on time.
+    fn passes(&self, mutant: u32) -> Result<bool> {
+        let most = self.time * 100 + Duration::from_secs(60);
+        let start = Instant::now();
+        let mut child = self.command(mutant).spawn()?;
+        loop {
+            if let Some(status) = child.try_wait()? {
+                return Ok(status.success());
+            }
+            if start.elapsed() > most {
+                child.kill()?;
+                child.wait()?;
+                println!("{mutant} loops without a switch in {}", self.name);
+                return Ok(true);
+            }
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+/// All tests, the fastest first. Each has to pass without a mutant.
+pub(crate) fn judges(tree: &Tree, programs: &[PathBuf]) -> Result<Vec<Judge>> {
+    let mut judges = Vec::new();
+    let reached = std::env::temp_dir().join(format!("foretorque-mutants-{}", std::process::id()));
+    for (number, program) in programs.iter().enumerate() {
+        let listed = Command::new(program)
+            .args(["--list", "--format=terse"])
+            .output()?;
+        for line in String::from_utf8(listed.stdout)?.lines() {
+            let Some(name) = line.strip_suffix(": test") else {
+                continue;
+            };
+            let mut judge = Judge {
+                program: program.clone(),
+                directory: tree.directory(number),
+                name: name.to_owned(),
+                time: Duration::ZERO,
+                reached: Vec::new(),
+                calls: 0,
+            };
+            let _ = fs::remove_file(&reached);
+            let start = Instant::now();
+            let mut command = judge.command(u32::MAX);
+            let status = command.env("FORETORQUE_REACHED", &reached).status()?;
+            ensure!(status.success(), "{name} fails without a mutant");
+            judge.time = start.elapsed();
+            for line in fs::read_to_string(&reached).unwrap_or_default().lines() {
+                let (mutant, calls) = line.split_once(' ').context("no count")?;
+                judge.reached.push(mutant.parse()?);
+                judge.calls = calls.parse()?;
+            }
+            judges.push(judge);
+        }
+    }
+    let _ = fs::remove_file(&reached);
+    judges.sort_by_key(|judge| judge.time);
+    Ok(judges)
+}
+
+/// Name of the first test that fails on a mutant; `None` when it lives.
+pub(crate) fn killer(judges: &[Judge], mutant: u32) -> Result<Option<&str>> {
+    let reaching = |judge: &&Judge| judge.reached.contains(&mutant);
+    for judge in judges.iter().filter(reaching) {
+        let passes = judge.passes(mutant);
+        if !passes.with_context(|| format!("cannot run {}", judge.name))? {
+            return Ok(Some(&judge.name));
+        }
+    }
+    Ok(None)
 }

@@ -3,20 +3,20 @@
 //! `"FTPB"`, format version, postcard of [`ParameterBank`], CRC-32. A bank lists its columns by identity. Friction columns
 //! that it lacks are zero.
 
-mod column;
 mod typed;
 
 use crate::wire::{CRC, Name};
-pub(crate) use column::config as feed_forward_config;
-pub use column::{ColumnId, ColumnKind, NoColumnKind, Parameters, columns};
-use foretorque::arm::most_parameters;
-use foretorque::dynamics::FRICTION_COLUMNS;
+use core::fmt;
+use foretorque::arm::{Arm, LINK_PARAMETERS, most_parameters};
 pub use foretorque::dynamics::MAX_JOINTS;
+use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn};
+use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
 use heapless::Vec;
 use postcard::ser_flavors::Slice;
 use postcard::ser_flavors::crc::CrcModifier;
 use serde::{Deserialize, Serialize};
-pub(crate) use typed::{name, slots};
+pub use typed::Parameters;
+pub(crate) use typed::{config as feed_forward_config, name, slots};
 
 /// Seed of the random hidden layers of an untrained bank.
 pub const NETWORK_SEED: u32 = 1;
@@ -24,6 +24,137 @@ pub const NETWORK_SEED: u32 = 1;
 pub const MAX_COLUMNS: usize = most_parameters(MAX_JOINTS) + MAX_JOINTS * FRICTION_COLUMNS;
 /// Most network weights.
 pub const MAX_WEIGHTS: usize = 256;
+
+/// Quantity that a column of the linear model multiplies, as the number that a bank holds.
+///
+/// 0 to 9 are the standard parameters of a link (eq. 14), 10 is the reflected rotor inertia, the friction columns have
+/// [`bank_kind`](foretorque::dynamics::FrictionProperties::bank_kind). Numbers are only ever added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "u8")]
+pub struct ColumnKind(u8);
+
+const LINK_SYMBOLS: [&str; LINK_PARAMETERS] = [
+    "m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz",
+];
+const ROTOR: u8 = LINK_PARAMETERS as u8;
+/// Stribeck peaks of 0.07 and 0.14 rad/s: decoded, but no longer in the model.
+const RETIRED: [(u8, &str); 2] = [(13, "Fsn"), (14, "Fsw")];
+
+const _: () = {
+    let mut k = 0;
+    while k < FRICTION_COLUMNS {
+        let kind = FrictionColumn::ALL[k].properties().bank_kind;
+        assert!(kind > ROTOR && kind != RETIRED[0].0 && kind != RETIRED[1].0);
+        k += 1;
+    }
+};
+
+impl ColumnKind {
+    /// Reflected rotor inertia, kg·m².
+    pub const ROTOR: Self = Self(ROTOR);
+
+    /// Friction columns of a joint in the order of [`FrictionColumn::ALL`].
+    const FRICTION: [Self; FRICTION_COLUMNS] = {
+        let mut kinds = [Self::ROTOR; FRICTION_COLUMNS];
+        let mut k = 0;
+        while k < FRICTION_COLUMNS {
+            kinds[k] = Self::friction(FrictionColumn::ALL[k]);
+            k += 1;
+        }
+        kinds
+    };
+
+    /// A friction column.
+    pub const fn friction(column: FrictionColumn) -> Self {
+        Self(column.properties().bank_kind)
+    }
+
+    /// Short name; empty for a number that is no kind.
+    fn symbol(self) -> &'static str {
+        let number = usize::from(self.0);
+        let friction = || {
+            let place = Self::FRICTION.iter().position(|&kind| kind == self)?;
+            Some(FrictionColumn::ALL.get(place)?.properties().symbol)
+        };
+        let retired = || RETIRED.iter().find(|(kind, _)| *kind == self.0);
+        match LINK_SYMBOLS.get(number) {
+            Some(symbol) => symbol,
+            None if self == Self::ROTOR => "Ia",
+            None => friction()
+                .or(retired().map(|(_, symbol)| *symbol))
+                .unwrap_or(""),
+        }
+    }
+}
+
+/// A number that is no kind of column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoColumnKind;
+
+impl fmt::Display for NoColumnKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("no kind of column")
+    }
+}
+
+impl TryFrom<u8> for ColumnKind {
+    type Error = NoColumnKind;
+
+    fn try_from(number: u8) -> Result<Self, NoColumnKind> {
+        let kind = Self(number);
+        let known = number <= ROTOR
+            || Self::FRICTION.contains(&kind)
+            || RETIRED.iter().any(|(retired, _)| *retired == number);
+        known.then_some(kind).ok_or(NoColumnKind)
+    }
+}
+
+/// Identity of a column: kind, and joint from 0. Displayed as `Izz1`, `mx2`, `Ia3`, `Fv1`: joints from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ColumnId {
+    /// Quantity that the column multiplies.
+    pub kind: ColumnKind,
+    /// Joint or link, from 0.
+    pub joint: u8,
+}
+
+impl fmt::Display for ColumnId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.kind.symbol(), u16::from(self.joint) + 1)
+    }
+}
+
+/// The columns of an arm in their order: inertial ones link by link, rotor inertias, then friction joint by joint.
+#[inline(never)]
+pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> Vec<ColumnId, MAX_COLUMNS> {
+    let mut columns = Vec::new();
+    // The capacity suffices for every arm.
+    let mut push = |kind, joint| _ = columns.push(id(kind, joint));
+    let links = A::columns();
+    for (joint, link) in links.iter().enumerate() {
+        for (kind, there) in (0..).map(ColumnKind).zip(link.inertial) {
+            if there {
+                push(kind, joint);
+            }
+        }
+    }
+    for (joint, _) in links.iter().enumerate().filter(|(_, link)| link.rotor) {
+        push(ColumnKind::ROTOR, joint);
+    }
+    for joint in 0..N {
+        for kind in ColumnKind::FRICTION {
+            push(kind, joint);
+        }
+    }
+    columns
+}
+
+const fn id(kind: ColumnKind, joint: usize) -> ColumnId {
+    ColumnId {
+        kind,
+        joint: joint as u8,
+    }
+}
 
 /// One linear parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -63,7 +194,6 @@ pub struct NetworkShape {
 }
 
 impl NetworkShape {
-    /// No network.
     pub(crate) const NONE: Self = Self {
         activation: ActivationKind::Relu,
         inputs: 0,
@@ -82,6 +212,30 @@ pub struct JointBounds {
     pub slew_nm_s: f32,
     /// Largest share of the network, as a part of the arm's torque limit.
     pub network_share: f32,
+}
+
+impl JointBounds {
+    /// Zeros, before any bank.
+    const ZERO: Self = Self {
+        torque_nm: 0.0,
+        slew_nm_s: 0.0,
+        network_share: 0.0,
+    };
+
+    /// Limits of this firmware, which a bank may only tighten.
+    pub(crate) fn widest<A: Arm<N, P>, const N: usize, const P: usize>() -> [Self; N] {
+        // The largest change in a tick of one second.
+        let slew = FeedForwardConfig::<N>::for_arm::<A, P>(1.0).slew_per_tick;
+        let mut bounds = [Self::ZERO; N];
+        for (bounds, (limits, &slew_nm_s)) in bounds.iter_mut().zip(A::limits().iter().zip(&slew)) {
+            *bounds = Self {
+                torque_nm: limits.torque,
+                slew_nm_s,
+                network_share: NETWORK_BOUND,
+            };
+        }
+        bounds
+    }
 }
 
 /// All parameters of one arm.
@@ -103,13 +257,6 @@ pub struct ParameterBank {
     pub weights: Vec<f32, MAX_WEIGHTS>,
     /// Limits of every joint.
     pub limits: Vec<JointBounds, MAX_JOINTS>,
-}
-
-impl ParameterBank {
-    /// The column with this identity.
-    pub fn column(&self, id: ColumnId) -> Option<&Column> {
-        self.columns.iter().find(|column| column.id == id)
-    }
 }
 
 errors! {
@@ -208,6 +355,11 @@ impl ParameterBank {
         let rest = list(&mut self.limits, rest)?;
         (self.arm_hash, self.arm, self.network) = (u32::from_le_bytes(arm_hash), arm, network);
         rest.is_empty().then_some(()).ok_or(BankError::Malformed)
+    }
+
+    /// The column with this identity.
+    pub fn column(&self, id: ColumnId) -> Option<&Column> {
+        self.columns.iter().find(|column| column.id == id)
     }
 
     /// An empty bank, for no arm.

@@ -1,17 +1,56 @@
 //! Conversion between the self-describing bank and the typed set of one arm.
 
-use super::column::columns;
-use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank};
+use super::{ActivationKind, BankError, Column, JointBounds, NetworkShape, ParameterBank, columns};
 use super::{MAX_COLUMNS, MAX_JOINTS, MAX_WEIGHTS, NETWORK_SEED};
+use crate::copy;
 use crate::wire::Name;
 use foretorque::arm::Arm;
-use foretorque::dynamics::FRICTION_COLUMNS;
-use foretorque::feedforward::{FeedForwardConfig, NETWORK_BOUND};
+use foretorque::dynamics::{FRICTION_COLUMNS, Pose, friction_under, rnea_of};
+use foretorque::feedforward::FeedForwardConfig;
+use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::{
     JointNetwork, LearnerConfig, LinearParameters, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
     StartDeviations,
 };
 use heapless::Vec;
+
+/// Parameters of a bank that the tick uses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Parameters<const N: usize, const P: usize> {
+    /// Model and networks.
+    pub set: ParameterSet<N, P>,
+    /// Standard deviations from which learning starts.
+    pub start: StartDeviations<N, P>,
+    /// Drive gains, N × N·m/A; 0 is unknown.
+    pub gains: [f32; N],
+    /// Limits of every joint.
+    pub bounds: [JointBounds; N],
+}
+
+impl<const N: usize, const P: usize> Parameters<N, P> {
+    /// Zeros, before any bank.
+    pub const fn zero() -> Self {
+        Self {
+            set: ParameterSet::zero(),
+            start: StartDeviations {
+                friction: [[0; FRICTION_COLUMNS]; N],
+                rigid: [0; P],
+            },
+            gains: [0.0; N],
+            bounds: [JointBounds::ZERO; N],
+        }
+    }
+
+    /// Parameters of [`ParameterBank::nominal`].
+    pub fn nominal<A: Arm<N, P>>() -> Self {
+        Self {
+            set: ParameterSet::nominal::<A>(NETWORK_SEED),
+            start: StartDeviations::PRIOR,
+            gains: [0.0; N],
+            bounds: JointBounds::widest::<A, N, P>(),
+        }
+    }
+}
 
 impl ParameterBank {
     /// The bank before any identification: rigid body of the description, no friction, networks with zero output, unknown
@@ -160,11 +199,8 @@ impl ParameterBank {
         let mut start = StartDeviations::PRIOR;
         let parts = start.rigid.iter_mut().take(A::index().count);
         let parts = parts.chain(start.friction.as_flattened_mut());
-        for ((&id, &prior), part) in columns::<A, N, P>()
-            .iter()
-            .zip(slots::<A, N, P>(&prior))
-            .zip(parts)
-        {
+        let priors = slots::<A, N, P>(&prior).zip(parts);
+        for (&id, (&prior, part)) in columns::<A, N, P>().iter().zip(priors) {
             if let Some(column) = self.column(id) {
                 *part = StartDeviations::<N, P>::part(column.deviation, prior);
             }
@@ -183,29 +219,37 @@ impl ParameterBank {
         }
         Ok(gains)
     }
-}
 
-impl JointBounds {
-    /// Zeros, before any bank.
-    pub(super) const ZERO: Self = Self {
-        torque_nm: 0.0,
-        slew_nm_s: 0.0,
-        network_share: 0.0,
-    };
+    /// Configuration of ticks of `period_s`, s: the arm's limits, tightened by those of the bank.
+    ///
+    /// Errors: [`BankError::Limit`] where torque or slew limit is not positive or exceeds [`FeedForwardConfig::for_arm`], or
+    /// the bound of the network differs from that of this firmware.
+    pub fn feed_forward_config<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        period_s: f32,
+    ) -> Result<FeedForwardConfig<N>, BankError> {
+        config::<A, N, P>(&self.limits, period_s)
+    }
 
-    /// Limits of this firmware, which a bank may only tighten.
-    pub(crate) fn widest<A: Arm<N, P>, const N: usize, const P: usize>() -> [Self; N] {
-        // The largest change in a tick of one second.
-        let slew = FeedForwardConfig::<N>::for_arm::<A, P>(1.0).slew_per_tick;
-        let mut bounds = [Self::ZERO; N];
-        for (bounds, (limits, &slew_nm_s)) in bounds.iter_mut().zip(A::limits().iter().zip(&slew)) {
-            *bounds = Self {
-                torque_nm: limits.torque,
-                slew_nm_s,
-                network_share: NETWORK_BOUND,
-            };
-        }
-        bounds
+    /// Everything of the bank that the tick uses, checked.
+    ///
+    /// Errors: the first reason why the bank does not fit `A`.
+    #[inline(never)]
+    pub fn parameters<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+    ) -> Result<Parameters<N, P>, BankError> {
+        let set = self.set::<A, N, P>()?;
+        let gains = self.drive_gains()?;
+        self.feed_forward_config::<A, N, P>(1e-3)?;
+        plausible::<A, N, P>(&set)?;
+        let mut bounds = [JointBounds::ZERO; N];
+        copy(&mut bounds, &self.limits);
+        Ok(Parameters {
+            set,
+            start: self.start_deviations::<A, N, P>(),
+            gains,
+            bounds,
+        })
     }
 }
 
@@ -247,4 +291,92 @@ fn fill<T, const M: usize>(vector: &mut Vec<T, M>, items: impl Iterator<Item = T
             break;
         }
     }
+}
+
+/// Poses in which a bank is compared with the description: more equations than any joint has parameters.
+const POSES: u32 = 16;
+/// Largest difference from the description, and largest friction, in units of the torque limit.
+const LARGEST_DIFFERENCE: f32 = 0.75;
+/// Largest linear parameter in units of the largest torque limit, in its own SI unit.
+const LARGEST_PARAMETER: f32 = 10.0;
+/// Largest speed of the poses, rad/s: half of one turn a second. Descriptions without real limits have 100 rad/s, where no drive
+/// has the torque.
+const SPEED: f32 = core::f32::consts::PI;
+/// Acceleration of the poses, rad/s².
+const ACCELERATION: f32 = 5.0;
+
+/// Checks that the torques of `set` are those of an arm like the described one: per parameter, and in poses that cover range
+/// and half the speed of every joint, at most [`SPEED`], the first at rest and stretched out.
+///
+/// Errors: [`BankError::Implausible`] with the joint. Cost: [`POSES`] recursions of both sets.
+#[inline(never)]
+fn plausible<A: Arm<N, P>, const N: usize, const P: usize>(
+    set: &ParameterSet<N, P>,
+) -> Result<(), BankError> {
+    let largest = A::limits().iter().fold(0.0, |m: f32, l| m.max(l.torque));
+    for (joint, friction) in set.friction.iter().enumerate() {
+        let mut parameters = friction.0.iter();
+        if parameters.any(|value| value.abs() > LARGEST_PARAMETER * largest) {
+            return Err(BankError::Implausible(joint as u8));
+        }
+    }
+    let described = A::nominal();
+    let mut motion = JointMotion::zero();
+    for pose in 0..POSES {
+        let there = Pose::of::<A, P>(&motion.q).ok_or(BankError::Implausible(0))?;
+        let mut rigid = [JointVector::zeros(); 2];
+        let sets = [&set.rigid, described];
+        rnea_of::<A, N, P, 2>(sets, &there.angles, &motion, &mut rigid);
+        let [mine, theirs] = rigid;
+        let JointMotion { q, qd, .. } = &motion;
+        let friction = friction_under::<A, N, P>(&set.friction, q, qd, &there.load);
+        let torques = mine.iter().zip(theirs.iter()).zip(friction.iter());
+        for (joint, (((mine, theirs), friction), limits)) in torques.zip(A::limits()).enumerate() {
+            let bound = LARGEST_DIFFERENCE * limits.torque;
+            // Written so that NaN is refused.
+            if !((mine - theirs).abs() <= bound && friction.abs() <= bound) {
+                return Err(BankError::Implausible(joint as u8));
+            }
+        }
+        let axes = motion.q.iter_mut().zip(motion.qd.iter_mut());
+        let axes = axes.zip(motion.qdd.iter_mut()).zip(A::limits());
+        for (joint, (((q, qd), qdd), limits)) in axes.enumerate() {
+            let (low, high) = limits.position;
+            let number = 3 * (pose * N as u32 + joint as u32);
+            *q = low + (high - low) * fraction(number);
+            *qd = limits.velocity.min(2.0 * SPEED) * (fraction(number + 1) - 0.5);
+            *qdd = 2.0 * ACCELERATION * (fraction(number + 2) - 0.5);
+        }
+    }
+    Ok(())
+}
+
+/// Hash of `number`, from 0 to 1.
+fn fraction(number: u32) -> f32 {
+    let mixed = number.wrapping_add(1).wrapping_mul(0x9E37_79B9);
+    let mixed = (mixed ^ mixed >> 16).wrapping_mul(0x85EB_CA6B);
+    ((mixed ^ mixed >> 13) >> 8) as f32 * (1.0 / 16_777_216.0)
+}
+
+/// Configuration of ticks of `period_s` within `bounds`.
+pub(crate) fn config<A: Arm<N, P>, const N: usize, const P: usize>(
+    bounds: &[JointBounds],
+    period_s: f32,
+) -> Result<FeedForwardConfig<N>, BankError> {
+    let mut config = FeedForwardConfig::for_arm::<A, P>(period_s);
+    let widest = JointBounds::widest::<A, N, P>();
+    let joints = config.limits.iter_mut().zip(&mut config.slew_per_tick);
+    for (joint, ((limits, slew), widest)) in joints.zip(widest).enumerate() {
+        let error = BankError::Limit(joint as u8);
+        let bounds = bounds.get(joint).ok_or(error)?;
+        let torque = bounds.torque_nm > 0.0 && bounds.torque_nm <= widest.torque_nm;
+        let rate = bounds.slew_nm_s > 0.0 && bounds.slew_nm_s <= widest.slew_nm_s;
+        if !torque || !rate || bounds.network_share != widest.network_share {
+            return Err(error);
+        }
+        limits.torque = bounds.torque_nm;
+        *slew = bounds.slew_nm_s * period_s;
+    }
+    config.validate().map_err(|_| BankError::Limit(0))?;
+    Ok(config)
 }

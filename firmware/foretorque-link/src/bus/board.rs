@@ -69,7 +69,6 @@ impl<const N: usize> Wiring<N> {
 
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
-/// Either side of a board that has drives.
 enum Side<const N: usize> {
     Master(BusDrives<N>),
     InLine(LineMotion<N>),
@@ -148,7 +147,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
                 for (joint, celsius) in line.temperatures() {
                     session.note_temperature(joint, celsius);
                 }
-                if line.failed() && session.torque_enabled() {
+                if line.failed && session.torque_enabled() {
                     session.trip(SafetyReason::Drive);
                 }
                 return session.torque_enabled().then(|| *session.torque_output());
@@ -263,20 +262,20 @@ impl MotionFilter {
     }
 }
 
-/// One joint on the line.
 struct LineJoint {
     link: JointLink,
     filter: MotionFilter,
 }
 
 /// Motion of the joints whose commands and replies pass.
-pub(super) struct LineMotion<const N: usize> {
+struct LineMotion<const N: usize> {
     joints: [Option<LineJoint>; N],
+    /// In the last period a drive was off, or its replies showed a fault.
     failed: bool,
 }
 
 impl<const N: usize> LineMotion<N> {
-    pub(super) fn new(joints: &[Option<BusJoint>; N]) -> Self {
+    fn new(joints: &[Option<BusJoint>; N]) -> Self {
         let of = |joint| LineJoint {
             link: JointLink::new(joint),
             filter: MotionFilter::default(),
@@ -287,13 +286,8 @@ impl<const N: usize> LineMotion<N> {
         }
     }
 
-    /// In the last period a drive was off, or its replies showed a fault.
-    pub(super) fn failed(&self) -> bool {
-        self.failed
-    }
-
     /// Takes a frame from the host, port 0, or from the drives.
-    pub(super) fn receive(&mut self, port: u8, frame: &Frame) {
+    fn receive(&mut self, port: u8, frame: &Frame) {
         for slot in self.joints.iter_mut().flatten() {
             let drive = &slot.link.joint.drive;
             if port == 0 {
@@ -306,18 +300,14 @@ impl<const N: usize> LineMotion<N> {
         }
     }
 
-    pub(super) fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
+    fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
         let joints = self.joints.iter().enumerate();
         joints
             .filter_map(|(joint, slot)| Some((joint, slot.as_ref()?.link.reply.temperature? as i8)))
     }
 
     /// Closes a period: the sample of what has passed. Joints without a drive here take their part of `given`.
-    pub(super) fn sample(
-        &mut self,
-        given: Option<&JointSample<N>>,
-        period_us: u32,
-    ) -> Option<JointSample<N>> {
+    fn sample(&mut self, given: Option<&JointSample<N>>, period_us: u32) -> Option<JointSample<N>> {
         let mut desired = given.map_or(JointMotion::zero(), |given| given.desired);
         let known = given.and_then(|given| given.measured);
         let mut measured = known.unwrap_or(JointMeasurement::zero());

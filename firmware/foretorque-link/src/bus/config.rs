@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 /// Periods of the loop that are admissible, s.
 const PERIODS_S: (f32, f32) = (0.0005, 0.01);
-/// Number of buses.
 pub(super) const BUSES: u8 = 2;
 
 /// One joint on a bus.

@@ -94,8 +94,8 @@ impl<const N: usize> BusDrives<N> {
 
     /// Counters of a joint.
     pub fn counters(&self, joint: usize) -> JointCounters {
-        self.link(joint)
-            .map_or_else(JointCounters::default, |link| link.counters)
+        let link = self.links.get(joint).and_then(Option::as_ref);
+        link.map_or_else(JointCounters::default, |link| link.counters)
     }
 
     /// Frames that no drive of the profile sends.
@@ -374,10 +374,6 @@ impl<const N: usize> BusDrives<N> {
             }
         }
         saturation
-    }
-
-    fn link(&self, joint: usize) -> Option<&JointLink> {
-        self.links.get(joint)?.as_ref()
     }
 
     /// Periods without a reply that make a fault.

@@ -95,7 +95,6 @@ impl JointLink {
         }
     }
 
-    /// Takes the content of a frame of this drive.
     pub(super) fn take(&mut self, event: Event) {
         match event {
             Event::Reply(reply) => self.take_reply(&reply),

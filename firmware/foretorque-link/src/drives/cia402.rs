@@ -27,14 +27,12 @@ const READ_RATED: [u8; 4] = [0x40, 0x76, 0x60, 0];
 const RATED: [u8; 4] = [0x43, 0x76, 0x60, 0];
 const WRITE_CONTROL: [u8; 4] = [0x2b, 0x40, 0x60, 0];
 
-/// Codec of one drive.
 pub(super) struct Codec<'p> {
     pub(super) drive: &'p DriveProfile,
     pub(super) scales: &'p Cia402,
 }
 
 impl Codec<'_> {
-    /// Frame of a function code.
     fn frame(&self, function: u32, bytes: &[u8]) -> Frame {
         Frame::standard(function + u32::from(self.drive.id), bytes)
     }

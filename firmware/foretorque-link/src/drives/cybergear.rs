@@ -14,7 +14,6 @@ const STEPS: u16 = 0xffff;
 /// Register of the largest torque, N·m.
 const TORQUE_LIMIT: u16 = 0x700b;
 
-/// Kinds of frames.
 mod kind {
     pub(super) const COMMAND: u32 = 1;
     pub(super) const REPLY: u32 = 2;
@@ -31,7 +30,6 @@ fn send(kind: u32, data: u16, target: u16, bytes: [u8; 8], frames: &mut Frames) 
     push(frames, Frame::extended(id, &bytes));
 }
 
-/// Eight bytes of four numbers.
 fn pack([a, b, c, d]: [u16; 4]) -> [u8; 8] {
     let half = |high: u16, low: u16| (u32::from(high) << 16 | u32::from(low)).to_be_bytes();
     join(half(a, b), half(c, d))
@@ -41,7 +39,6 @@ fn unpack([a0, a1, b0, b1, c0, c1, d0, d1]: [u8; 8]) -> [u16; 4] {
     [[a0, a1], [b0, b1], [c0, c1], [d0, d1]].map(u16::from_be_bytes)
 }
 
-/// Codec of one drive.
 pub(super) struct Codec<'p> {
     pub(super) drive: &'p DriveProfile,
     pub(super) scales: &'p Ranges,

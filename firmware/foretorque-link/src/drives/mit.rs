@@ -23,7 +23,6 @@ const READ: u8 = 0x33;
 /// First bytes of an order.
 const PREFIX: [u8; 7] = [0xff; 7];
 
-/// Codec of one drive.
 pub(super) struct Codec<'p> {
     pub(super) drive: &'p DriveProfile,
     pub(super) scales: &'p Ranges,

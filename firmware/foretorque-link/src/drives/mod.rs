@@ -50,16 +50,9 @@ pub struct JointCommand {
 impl JointCommand {
     /// Every field is finite.
     pub fn is_finite(&self) -> bool {
-        let Self {
-            position,
-            velocity,
-            torque,
-            kp,
-            kd,
-        } = self;
-        [position, velocity, torque, kp, kd]
-            .iter()
-            .all(|value| value.is_finite())
+        let c = self;
+        let values = [c.position, c.velocity, c.torque, c.kp, c.kd];
+        values.iter().all(|value| value.is_finite())
     }
 }
 
@@ -245,13 +238,10 @@ impl DriveProfile {
     /// Appends the frames that this drive sends as its reply; an absent quantity counts as 0.
     pub fn reply(&self, reply: &JointReply, frames: &mut Frames) {
         let turn = self.sign * self.gear;
-        let position = (reply.position.unwrap_or_default() - self.zero) * turn;
-        let velocity = reply.velocity.unwrap_or_default() * turn;
-        let torque = reply.torque.unwrap_or_default() / turn;
         let drive = JointReply {
-            position: Some(position),
-            velocity: Some(velocity),
-            torque: Some(torque),
+            position: Some((reply.position.unwrap_or_default() - self.zero) * turn),
+            velocity: Some(reply.velocity.unwrap_or_default() * turn),
+            torque: Some(reply.torque.unwrap_or_default() / turn),
             ..*reply
         };
         codec!(self, codec => codec.reply(&drive, frames));

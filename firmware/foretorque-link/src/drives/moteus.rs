@@ -17,7 +17,6 @@ fn query(bytes: &mut Bytes, resolution: Resolution) {
     put(bytes, &[READ | 2, TEMPERATURE as u8]);
 }
 
-/// Codec of one drive.
 pub(super) struct Codec<'p> {
     pub(super) drive: &'p DriveProfile,
     pub(super) scales: &'p Moteus,

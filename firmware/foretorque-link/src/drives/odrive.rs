@@ -10,7 +10,6 @@ use super::{
 };
 use crate::copy;
 
-/// Commands of the identifier.
 mod command {
     pub(super) const HEARTBEAT: u16 = 0x01;
     pub(super) const READ: u16 = 0x04;
@@ -30,7 +29,6 @@ mod command {
 const IDLE: u32 = 1;
 const CLOSED_LOOP: u32 = 8;
 
-/// Codec of one drive.
 pub(super) struct Codec<'p> {
     pub(super) drive: &'p DriveProfile,
     pub(super) scales: &'p Odrive,

@@ -81,14 +81,8 @@ pub(super) fn profile(protocol: Protocol) -> DriveProfile {
 }
 
 fn values(command: &JointCommand) -> [f32; 5] {
-    let JointCommand {
-        position,
-        velocity,
-        torque,
-        kp,
-        kd,
-    } = *command;
-    [position, velocity, torque, kp, kd]
+    let c = command;
+    [c.position, c.velocity, c.torque, c.kp, c.kd]
 }
 
 fn motion([position, velocity, torque, kp, kd]: [f32; 5]) -> JointCommand {

@@ -1,5 +1,5 @@
 use super::MotionBounds;
-use crate::division::div_u64_by_u32;
+use crate::div_u64_by_u32;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::math::{sin_cos, sqrt};
 use serde::{Deserialize, Serialize};
@@ -138,27 +138,22 @@ impl PathSpeed {
         self.ticks = seconds_to_ticks(stop_s(certificate), tick_us);
     }
 
-    /// False at rest.
     pub(super) fn moving(&self) -> bool {
         self.left > 0
     }
 
-    /// Sets the speed to 0.
     pub(super) fn rest(&mut self) {
         self.left = 0;
     }
 
-    /// Sets the speed to 1.
     pub(super) fn start(&mut self) {
         (self.left, self.falling) = (self.ticks, false);
     }
 
-    /// Starts the fall to 0.
     pub(super) fn stop(&mut self) {
         self.falling = true;
     }
 
-    /// Advances by one tick.
     pub(super) fn advance(&mut self) {
         if self.falling {
             self.left = self.left.saturating_sub(1);
@@ -342,11 +337,9 @@ pub(super) mod tests {
                 let phase = k.wrapping_mul(42_949);
                 let motion = series.at(&[SWING], phase);
                 let exact = exact(&SWING, f64::from(phase) / 4_294_967_296.0, omega);
-                for (line, seen) in [motion.q[0], motion.qd[0], motion.qdd[0]]
-                    .iter()
-                    .enumerate()
-                {
-                    worst[line] = worst[line].max((f64::from(*seen) - exact[line]).abs());
+                let seen = [motion.q[0], motion.qd[0], motion.qdd[0]];
+                for line in 0..3 {
+                    worst[line] = worst[line].max((f64::from(seen[line]) - exact[line]).abs());
                 }
             }
             for ((worst, scale), least) in worst.iter().zip(scale).zip([1.2e-7, 0.0, 0.0]) {

@@ -28,7 +28,7 @@ errors! {
 }
 
 /// `level` inside ±1; 0 for NaN.
-pub(super) fn bounded(level: f32) -> f32 {
+fn bounded(level: f32) -> f32 {
     if level >= 1.0 {
         1.0
     } else if level <= -1.0 {

@@ -37,7 +37,6 @@ pub(super) struct InputState<const N: usize> {
 }
 
 impl<const N: usize> InputState<N> {
-    /// Before the first sample.
     pub(super) const fn new() -> Self {
         Self {
             fault: SafetyReason::None,
@@ -74,7 +73,6 @@ impl<const N: usize> InputState<N> {
         }
     }
 
-    /// Clears the counts of samples that end a torque.
     pub(super) fn clear_counts(&mut self) {
         self.implausible_score = 0;
         self.far_samples = 0;

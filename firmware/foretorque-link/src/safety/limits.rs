@@ -113,7 +113,6 @@ pub(super) struct ThermalDerating<const N: usize> {
 }
 
 impl<const N: usize> ThermalDerating<N> {
-    /// All temperatures unknown.
     pub(super) const fn new() -> Self {
         Self {
             effective_c: [None; N],

@@ -125,11 +125,8 @@ impl<C> BoardDescription<C> {
 
     /// Errors: [`NackReason::NotCapable`].
     pub(super) fn require(&self, capability: Capabilities) -> Result<(), NackReason> {
-        if self.capabilities.contains(capability) {
-            Ok(())
-        } else {
-            Err(NackReason::NotCapable)
-        }
+        let capable = self.capabilities.contains(capability);
+        capable.then_some(()).ok_or(NackReason::NotCapable)
     }
 
     /// Time without a save that the board counts at its start: none after a restart by the firmware or by command, so that

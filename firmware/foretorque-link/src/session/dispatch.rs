@@ -59,10 +59,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         message: HostMessage<N>,
         mailboxes: &mut Mailboxes<N, P>,
     ) -> Result<Option<BoardMessage<N>>, NackReason> {
-        let Mailboxes {
-            learner: mailbox,
-            parameters,
-        } = mailboxes;
+        let (mailbox, parameters) = (&mut mailboxes.learner, &mut mailboxes.parameters);
         let Self {
             board,
             protocol,

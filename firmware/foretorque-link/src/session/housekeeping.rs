@@ -168,11 +168,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
         // The capacities suffice for every joint.
         let _ = bank.drive_gains_nm_a.extend_from_slice(&in_force.gains);
         let _ = bank.limits.extend_from_slice(&in_force.bounds);
-        for (column, &deviation) in bank
-            .columns
-            .iter_mut()
-            .zip(slots::<A, N, P>(&self.deviations))
-        {
+        let deviations = slots::<A, N, P>(&self.deviations);
+        for (column, &deviation) in bank.columns.iter_mut().zip(deviations) {
             column.deviation = deviation;
         }
         let bytes = bank.encode(&mut self.bytes).map_err(NackReason::Bank)?;
@@ -275,10 +272,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &mut self,
         mailboxes: &mut Mailboxes<N, P>,
     ) -> Option<(u16, Result<BoardMessage<N>, NackReason>)> {
-        let Mailboxes {
-            learner,
-            parameters: mailbox,
-        } = mailboxes;
+        let (learner, mailbox) = (&mut mailboxes.learner, &mut mailboxes.parameters);
         let (order, requester, outcome) = mailbox.collect()?;
         let stored = match (order, outcome) {
             (Order::Save | Order::Restore | Order::ReadStored, Err(NackReason::Store(error))) => {

@@ -1,9 +1,8 @@
 use super::Clock;
-use super::protocol::Transfer;
+use super::protocol::{Signature, Transfer};
 use crate::bank::Parameters;
 use crate::telemetry::{Cost, CostMeter};
-use crate::wire::{MAC_BYTES, NackReason};
-use crate::write_key::WriteKey;
+use crate::wire::NackReason;
 use foretorque::arm::Arm;
 use foretorque::learning::{
     Exchange, Learner, LearnerConfig, LearningSample, ParameterSet, StartDeviations,
@@ -175,20 +174,6 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 impl<const N: usize, const P: usize> Default for LearnerMailbox<N, P> {
     fn default() -> Self {
         Self::new()
-    }
-}
-
-/// Signature of an upload, and all that its check needs.
-#[derive(Clone, Copy)]
-pub(super) struct Signature {
-    pub(super) key: WriteKey,
-    pub(super) nonce: [u8; MAC_BYTES],
-    pub(super) mac: [u8; MAC_BYTES],
-}
-
-impl Signature {
-    pub(super) fn verifies(&self, arm_hash: u32, bytes: &[u8]) -> bool {
-        self.key.verifies(&self.mac, &self.nonce, arm_hash, bytes)
     }
 }
 

@@ -97,15 +97,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &self.controller.feed_forward
     }
 
-    #[cfg(test)]
-    fn load_set(
-        &mut self,
-        set: foretorque::learning::ParameterSet<N, P>,
-        exchange: &mut foretorque::learning::Exchange<N, P>,
-    ) {
-        self.controller.feed_forward.load(set, exchange);
-    }
-
     /// Last reported motor temperatures, °C; -128 is unknown.
     pub fn temperatures_c(&self) -> &[i8; N] {
         &self.controller.temperatures_c

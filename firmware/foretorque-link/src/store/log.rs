@@ -11,7 +11,6 @@ const PIECE: usize = HEADER_BYTES;
 /// Slots that one save tries in a sector.
 const ATTEMPTS: usize = 4;
 
-/// A set: its place and header.
 #[derive(Clone, Copy, Debug)]
 struct Record {
     /// Slot, counted over both sectors.
@@ -20,7 +19,6 @@ struct Record {
 }
 
 impl Record {
-    /// Order of records by age.
     fn age(&self) -> (u32, u32) {
         (self.header.sequence, self.slot)
     }

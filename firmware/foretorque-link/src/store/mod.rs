@@ -110,7 +110,6 @@ const MAGIC: [u8; 4] = *b"FTSL";
 /// Version of slot and header.
 const LAYOUT: u16 = 1;
 
-/// Header of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Header {
     /// Number of the save, from 1.
@@ -126,7 +125,6 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Header of the bytes of a bank.
     pub(super) fn of(bank: &[u8], arm_hash: u32, sequence: u32) -> Self {
         Self {
             sequence,

@@ -201,17 +201,13 @@ impl<const N: usize> TorqueFrame<N> {
     /// The frame of a torque with its status.
     pub fn new(torque: &Torque<N>, safety: SafetyStatus) -> Self {
         let joint = torque.tick as usize % N;
-        let Shares {
-            rigid,
-            friction,
-            network,
-        } = &torque.shares;
+        let shares = &torque.shares;
         Self {
             tick: torque.tick,
             flags: torque.flags.0,
             safety,
             total: array(&torque.total),
-            shares: [rigid, friction, network]
+            shares: [&shares.rigid, &shares.friction, &shares.network]
                 .map(|share| share.get(joint).copied().unwrap_or(0.0)),
         }
     }

@@ -1,6 +1,6 @@
 //! Wire sizes of the cyclic frames, and the capacity of the link that carries them.
 
-use crate::division::div_u64_by_u32;
+use crate::div_u64_by_u32;
 
 /// Version, sequence number and message tag, bytes.
 pub const HEADER: usize = 4;
@@ -57,18 +57,13 @@ impl LinkCapacity {
         Self { bytes_s }
     }
 
-    /// Bytes of one period; 0 has no limit.
-    pub const fn bytes_per_period(&self, period_us: u32) -> usize {
-        div_u64_by_u32(self.bytes_s as u64 * period_us as u64, 1_000_000) as usize
-    }
-
     /// Bytes that one period leaves besides a frame of `reply` bytes and the reserve.
     pub const fn left(&self, period_us: u32, reply: usize) -> usize {
         if self.bytes_s == 0 {
             return Self::UNLIMITED_LEFT;
         }
-        let bytes = self.bytes_per_period(period_us) as u64;
-        let planned = div_u64_by_u32(bytes * (100 - RESERVE_PERCENT), 100) as usize;
+        let bytes = div_u64_by_u32(self.bytes_s as u64 * period_us as u64, 1_000_000);
+        let planned = div_u64_by_u32(bytes as u64 * (100 - RESERVE_PERCENT), 100) as usize;
         planned.saturating_sub(reply)
     }
 }

@@ -165,7 +165,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.feed_forward.applied(self.safety.output());
     }
 
-    /// Passes a request to the learner.
     pub(in crate::session) fn request(
         &mut self,
         code: u8,

@@ -1,16 +1,15 @@
 //! Bytes to messages and back: frames, sequence numbers, uploads and downloads, telemetry. Moves no torque.
 
 mod telemetry;
-mod transfer;
 
-use super::mailbox::Signature;
+use crate::bank::ParameterBank;
+use crate::copy;
 use crate::telemetry::Statistics;
 use crate::wire::{
-    BoardMessage, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
+    BoardMessage, CHUNK, DecodeError, Decoder, FrameBuffer, HostMessage, MAC_BYTES, NackReason,
 };
 use crate::write_key::WriteKey;
 pub(super) use telemetry::{Instant, Stream};
-pub(super) use transfer::Transfer;
 
 /// Frames whose number lies at most this far back are repeats; a number farther back means that the host restarted.
 const REPEAT_WINDOW: u16 = 16;
@@ -188,13 +187,105 @@ impl Protocol {
     pub(in crate::session) fn losses(&self) -> [u16; 4] {
         let counted = &self.counters;
         let refused = counted.crc_errors.wrapping_add(counted.framing_errors);
-        let losses = [
-            counted.missed,
-            refused,
-            counted.replies_lost,
-            counted.overruns,
-        ];
-        losses.map(|count| count as u16)
+        let (missed, lost) = (counted.missed, counted.replies_lost);
+        [missed, refused, lost, counted.overruns].map(|count| count as u16)
+    }
+}
+
+/// Signature of an upload, and all that its check needs.
+#[derive(Clone, Copy)]
+pub(super) struct Signature {
+    pub(super) key: WriteKey,
+    pub(super) nonce: [u8; MAC_BYTES],
+    pub(super) mac: [u8; MAC_BYTES],
+}
+
+impl Signature {
+    pub(super) fn verifies(&self, arm_hash: u32, bytes: &[u8]) -> bool {
+        self.key.verifies(&self.mac, &self.nonce, arm_hash, bytes)
+    }
+}
+
+/// A parameter bank on its way up or down, or an excitation on its way up, in one buffer.
+pub(super) struct Transfer {
+    bytes: [u8; ParameterBank::MAX_BYTES],
+    length: usize,
+    direction: Direction,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    Idle,
+    Up,
+    Down,
+}
+
+impl Transfer {
+    pub(super) const fn new() -> Self {
+        Self {
+            bytes: [0; ParameterBank::MAX_BYTES],
+            length: 0,
+            direction: Direction::Idle,
+        }
+    }
+
+    pub(super) fn abort(&mut self) {
+        self.direction = Direction::Idle;
+    }
+
+    /// Takes the next chunk of an upload. Offset 0 begins anew. A repeated chunk does no harm, so a host whose
+    /// acknowledgement was lost may send it again.
+    pub(super) fn write(&mut self, offset: u16, chunk: &[u8]) -> Result<(), NackReason> {
+        if offset == 0 {
+            self.direction = Direction::Up;
+        } else if self.direction != Direction::Up {
+            return Err(NackReason::Gap { expected: 0 });
+        }
+        let start = usize::from(offset);
+        let end = start + chunk.len();
+        if start > self.length {
+            let expected = self.length as u16;
+            return Err(NackReason::Gap { expected });
+        }
+        let place = self.bytes.get_mut(start..end);
+        copy(place.ok_or(NackReason::TooLong)?, chunk);
+        self.length = end;
+        Ok(())
+    }
+
+    /// Announced length of a complete upload; it is over.
+    ///
+    /// Errors: [`NackReason::Checksum`] where the upload has another length, or there is none.
+    pub(super) fn end(&mut self, length: u16) -> Result<(), NackReason> {
+        let complete = self.direction == Direction::Up && self.length == usize::from(length);
+        self.direction = Direction::Idle;
+        complete.then_some(()).ok_or(NackReason::Checksum)
+    }
+
+    /// Bytes of the last upload or snapshot.
+    pub(super) fn content(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
+    }
+
+    /// Keeps `bytes` for reading, as many as the buffer takes; an unfinished upload is dropped.
+    pub(super) fn hold(&mut self, bytes: &[u8]) {
+        self.length = self.bytes.len().min(bytes.len());
+        copy(&mut self.bytes, bytes);
+        self.direction = Direction::Down;
+    }
+
+    /// The chunk at `offset` of the bytes kept for reading; empty behind their end.
+    pub(super) fn chunk<const N: usize>(&self, offset: u16) -> Result<BoardMessage<N>, NackReason> {
+        if self.direction != Direction::Down {
+            return Err(NackReason::Gap { expected: 0 });
+        }
+        let rest = self.content().get(usize::from(offset)..);
+        let rest = rest.unwrap_or_default().iter();
+        Ok(BoardMessage::BankChunk {
+            offset,
+            length: self.length as u16,
+            bytes: rest.copied().take(CHUNK).collect(),
+        })
     }
 }
 

@@ -36,7 +36,6 @@ pub(in crate::session) struct Stream {
 }
 
 impl Stream {
-    /// No stream.
     pub(super) const fn new() -> Self {
         Self {
             fields: 0,
@@ -55,7 +54,6 @@ impl Stream {
         self.lost
     }
 
-    /// Ends the stream.
     pub(in crate::session) fn end(&mut self) {
         *self = Self {
             lost: self.lost,
@@ -91,7 +89,6 @@ impl Stream {
         Ok(())
     }
 
-    /// Records the fields of one tick.
     pub(in crate::session) fn record<const N: usize>(&mut self, instant: &Instant<'_, N>) {
         if self.unsent != 0 {
             self.lost = self.lost.saturating_add(1);
@@ -178,16 +175,10 @@ fn write<const N: usize>(
     field: Field,
     instant: &Instant<'_, N>,
 ) {
-    let TickResult {
-        torque,
-        status,
-        sample,
-        cost,
-        ..
-    } = instant.tick;
+    let (tick, torque) = (instant.tick, &instant.tick.torque);
     let quality = &instant.report.quality;
-    let measured = sample.as_ref().and_then(|sample| sample.measured);
-    let desired = sample.as_ref().map(|sample| &sample.desired);
+    let measured = tick.sample.as_ref().and_then(|sample| sample.measured);
+    let desired = tick.sample.as_ref().map(|sample| &sample.desired);
     let unknown = JointVector::<N>::repeat(f32::NAN);
     let mut put = |bytes: &[u8]| {
         let _ = record.extend_from_slice(bytes);
@@ -200,7 +191,7 @@ fn write<const N: usize>(
     match field {
         Field::State => {
             put(&torque.flags.0.to_le_bytes());
-            put(&[status.state as u8, status.reason.code()]);
+            put(&[tick.status.state as u8, tick.status.reason.code()]);
         }
         Field::Total => put_vector(&torque.total),
         Field::Rigid => put_vector(&torque.shares.rigid),
@@ -228,7 +219,7 @@ fn write<const N: usize>(
             put(&figure.to_le_bytes());
         }
         Field::Cost => {
-            for cost in [*cost, instant.learn_cost] {
+            for cost in [tick.cost, instant.learn_cost] {
                 put(&cost.to_le_bytes());
             }
         }

@@ -1,5 +1,11 @@
+//! Ticks and counters; a lost sample on a board that samples pace, against the tick without a sample of a board that its
+//! timer paces.
+
 use super::*;
 use crate::telemetry::Cost;
+use crate::wire::SampleFlags;
+use foretorque::learning::{MAX_BRIDGED, TAPS};
+use proptest::prelude::*;
 
 #[test]
 fn currents_count_only_with_a_drive_gain() {
@@ -228,4 +234,174 @@ fn a_restart_of_the_tick_releases_a_waiting_reply() {
     let mailbox = &mut board.mailboxes.learner;
     assert!(mailbox.begin(&mut board.learner).is_none());
     assert!(mailbox.release_reply());
+}
+
+/// Length of the motion filter at 1 kHz, ticks.
+const FILTER: u32 = 2 * TAPS as u32;
+
+/// A board that its timer paces, or one that samples pace and a host that numbers its periods.
+struct Paced {
+    board: Board,
+    pacing: Pacing,
+    period: u8,
+}
+
+impl Paced {
+    fn armed(pacing: Pacing) -> Self {
+        let mut paced = Self {
+            board: Board::new(),
+            pacing,
+            period: 0,
+        };
+        // A restart for both: it is counted in the learner's state.
+        paced.board.pace(pacing);
+        (0..ARM_SAMPLES).for_each(|_| _ = paced.sample(0));
+        paced.board.acknowledged(HostMessage::Arm);
+        paced.board.acknowledged(HostMessage::Learning { on: true });
+        paced
+    }
+
+    fn sample(&mut self, k: u32) -> TorqueFrame<N> {
+        let frame = SampleFrame::new(&swinging(k)).in_period(self.period);
+        self.period = self.period.wrapping_add(1);
+        let torque = match self.pacing {
+            Pacing::Link => torque(&self.board.request(HostMessage::Sample(frame))),
+            Pacing::SysTick => self.board.period(Some(swinging(k))).unwrap(),
+        };
+        self.board.learn();
+        torque
+    }
+
+    /// Samples `first` to `last - 1`; how many rows the learner has accepted in them.
+    fn accepted(&mut self, samples: core::ops::Range<u32>) -> u32 {
+        let before = self.board.learner.state().statistics.accepted;
+        samples.for_each(|k| _ = self.sample(k));
+        self.board.learner.state().statistics.accepted - before
+    }
+
+    /// A sample that does not arrive; with a timer its period is a tick.
+    fn lose(&mut self) {
+        self.period = self.period.wrapping_add(1);
+        match self.pacing {
+            Pacing::Link => self.board.sequence += 1,
+            Pacing::SysTick => {
+                self.board.period(None).unwrap();
+                self.board.learn();
+            }
+        }
+    }
+}
+
+/// A motion fast enough to learn from, with the torques of an arm that is a tenth heavier.
+fn swinging(k: u32) -> JointSample<N> {
+    let t = k as f32 * 1e-3;
+    let rate = |j: usize| 2.0 + 0.3 * j as f32;
+    let phase = |j: usize| rate(j) * t + j as f32;
+    let desired = JointMotion {
+        q: JointVector::from_fn(|j, _| phase(j).sin()),
+        qd: JointVector::from_fn(|j, _| rate(j) * phase(j).cos()),
+        qdd: JointVector::from_fn(|j, _| -rate(j) * rate(j) * phase(j).sin()),
+    };
+    let mut truth = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
+    truth.rigid *= 1.1;
+    let tau = foretorque::feedforward::evaluate::<Ur5, N, P>(&truth, &desired).total;
+    JointSample {
+        desired,
+        measured: Some(JointMeasurement { q: desired.q, tau }),
+    }
+}
+
+/// Runs both boards through 600 ticks, those in `lost` without a sample; returns whether their torques were equal.
+fn together(lost: &[u32]) -> (Paced, Paced, bool) {
+    let [mut timed, mut linked] = [Pacing::SysTick, Pacing::Link].map(Paced::armed);
+    let mut same = true;
+    for k in 0..600 {
+        if lost.contains(&k) {
+            timed.lose();
+            linked.lose();
+            continue;
+        }
+        let torques = [timed.sample(k), linked.sample(k)];
+        let [expected, given] = torques.map(|it| (it.tick, it.flags, it.total));
+        same &= given == expected;
+    }
+    (timed, linked, same)
+}
+
+#[test]
+fn a_lost_sample_acts_as_a_tick_without_sample() {
+    // One, two and three in a row, and close together, at every place of a round.
+    let lost: Vec<u32> = (0..6)
+        .flat_map(|place| {
+            let first = 40 + 91 * place;
+            [0, 20, 21, 40, 41, 42, 50, 52].map(|later| first + later)
+        })
+        .collect();
+    let (timed, linked, same) = together(&lost);
+    assert!(same, "a torque differs");
+    assert!(timed.board.learner.state() == linked.board.learner.state());
+    let seen = timed.board.learner.state().statistics;
+    assert!(seen.accepted > 400, "{seen:?}");
+    let stale = linked.board.statistics().stale_ticks;
+    assert_eq!(stale, lost.len() as u32);
+}
+
+#[test]
+fn a_gap_that_cannot_be_bridged_empties_the_window_on_both() {
+    // The set of a round that closes in such a gap can be a round late, so the torques may differ; the learners do not.
+    for first in 200..206 {
+        let lost: Vec<u32> = (first..=first + MAX_BRIDGED as u32).collect();
+        let (timed, linked, _) = together(&lost);
+        assert!(timed.board.learner.state() == linked.board.learner.state());
+    }
+    let mut linked = Paced::armed(Pacing::Link);
+    assert!(linked.accepted(0..200) > 0);
+    (0..20).for_each(|_| linked.lose());
+    // The last sample before the gap serves the joints whose turn is in it.
+    assert!(linked.accepted(220..221) <= MAX_BRIDGED as u32);
+    assert_eq!(linked.accepted(221..219 + FILTER), 0);
+    assert!(linked.accepted(219 + FILTER..225 + FILTER) > 0);
+}
+
+#[test]
+fn a_lost_command_costs_no_learning_sample() {
+    let [mut whole, mut commanded] = [Pacing::Link; 2].map(Paced::armed);
+    for k in 0..100 {
+        whole.sample(k);
+        commanded.sample(k);
+        // The number of a command that never arrived.
+        commanded.board.sequence += 1;
+    }
+    assert!(whole.board.learner.state() == commanded.board.learner.state());
+}
+
+#[test]
+fn after_a_hello_the_window_is_empty() {
+    let mut linked = Paced::armed(Pacing::Link);
+    // The samples before the motion are copies, so the window fills twice.
+    assert!(linked.accepted(0..200) > 0);
+    linked.board.request(HostMessage::Hello);
+    assert!(linked.accepted(200..201) <= MAX_BRIDGED as u32);
+    assert_eq!(linked.accepted(201..199 + FILTER), 0);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn no_numbers_make_a_sample_cost_many_ticks(
+        frames in prop::collection::vec((any::<u16>(), any::<u8>()), 1..60),
+    ) {
+        let mut board = Board::new();
+        for (sequence, flags) in frames {
+            let mut sample = SampleFrame::new(&sample(0));
+            sample.flags = SampleFlags(flags);
+            let before = board.statistics().ticks;
+            board.receive(&frame(sequence, &HostMessage::Sample(sample)));
+            let ran = board.statistics().ticks - before;
+            prop_assert!(ran <= MAX_BRIDGED as u32 + 2, "{} ticks", ran);
+            prop_assert!(board.mailboxes.learner.waiting() <= MAX_BRIDGED + 2);
+            board.learn();
+        }
+    }
 }

@@ -1,13 +1,9 @@
 //! The protocol page against the types.
 
-use super::sizes::{frames, named, sizes};
 use super::*;
-use crate::bank::{BankError, ColumnId, ColumnKind};
+use crate::bank::{ColumnId, ColumnKind};
 use crate::excitation::ExcitationError;
-use crate::safety::SafetyReason;
-use crate::store::{StoreError, StoreHealth};
-use crate::telemetry::Statistics;
-use std::string::String;
+use crate::store::StoreHealth;
 
 const PAGE: &str = include_str!("../../../../../docs/protocol.md");
 
