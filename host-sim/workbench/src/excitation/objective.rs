@@ -3,8 +3,7 @@
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, Worth};
 use super::rows::Rows;
-use super::series::Extremes;
-use super::series::{Bases, VARIABLES};
+use super::series::{Bases, Extremes, VARIABLES};
 use crate::dynamics::{Motion, PerJoint};
 use argmin::core::{CostFunction, Error, Executor, Gradient};
 use argmin::solver::linesearch::MoreThuenteLineSearch;

@@ -1,6 +1,7 @@
 //! Columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
 
-use super::terms::{ColumnSet, FrictionTerm, FrictionTerm::*, LOAD};
+use super::terms::FrictionTerm::*;
+use super::terms::{ColumnSet, FrictionTerm, LOAD};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use foretorque::dynamics::{COGGING_COLUMNS, FrictionColumn, FrictionPoint};

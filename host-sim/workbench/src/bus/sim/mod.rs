@@ -10,8 +10,7 @@ mod faults;
 pub use drive::{COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, SimulatedDrive};
 pub use faults::{LineFault, TimedFault};
 
-use super::{Ask, BusError, Network};
-use super::{BitRates, frame_time_s};
+use super::{Ask, BitRates, BusError, Network, frame_time_s};
 use crate::dynamics::Joints;
 use crate::plant::{Events, Payload, Plant, PlantConfig};
 use foretorque_link::bus::BusConfig;

@@ -10,6 +10,7 @@ use crate::kinematics::{Twist, rotation_vector, stacked};
 use crate::robot::Placement;
 use crate::trajectory::via::ViaPath;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3, Vector6};
+
 pub use plan::plan;
 
 /// A move may turn the tool this far from where it started, rad: half a turn has two ways round.
