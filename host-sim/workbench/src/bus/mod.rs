@@ -4,10 +4,9 @@ mod commission;
 mod player;
 mod profile;
 pub mod sim;
-mod socketcan;
+mod sockets;
 mod text;
-mod udp;
-pub use choice::BusChoice;
+
 pub use commission::{Ask, Commissioning, Found, Step};
 pub use player::{BusPlayer, Jitter};
 pub use profile::{BitRates, JointEntry, Profile, frame_time_s};
@@ -15,14 +14,16 @@ pub use profile::{BitRates, JointEntry, Profile, frame_time_s};
 use foretorque_link::bus::BusFault;
 use foretorque_link::drives::Frame;
 use foretorque_link::safety::SafetyReason;
-use std::{fmt, io};
-use std::time::{Duration, Instant};
-use thread_priority::unix::{RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id};
-use thread_priority::{ThreadPriority, ThreadPriorityValue};
-use socketcan::SocketCan;
-use text::{TextForm, TextLine};
-use udp::UdpMulticast;
+use sockets::{SocketCan, UdpMulticast};
 use std::str::FromStr;
+use std::time::{Duration, Instant};
+use std::{fmt, io};
+use text::{TextForm, TextLine};
+use thread_priority::unix::{
+    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy,
+    thread_native_id,
+};
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 /// Buses of one arm, with the clock of their loop.
 pub trait Network {

@@ -2,10 +2,13 @@
 
 use super::{Line, frame_of};
 use foretorque_link::drives::Frame;
-use socketcan::{CanAnyFrame, CanError, CanFdFrame, CanFdSocket, CanFrame, EmbeddedFrame, ExtendedId, Id, Socket, SocketOptions, StandardId};
-use std::io;
 use rmpv::Value;
 use socket2::{Domain, Protocol, Socket, Type};
+use socketcan::{
+    CanAnyFrame, CanError, CanFdFrame, CanFdSocket, CanFrame, EmbeddedFrame, ExtendedId, Id,
+    Socket as _, SocketOptions, StandardId,
+};
+use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 
 /// An interface such as `can0`, with CAN-FD where it has it.
@@ -99,7 +102,7 @@ impl Line for SocketCan {
 }
 
 /// Port of python-can.
-pub(super) const PORT: u16 = 43_113;
+const PORT: u16 = 43_113;
 
 /// A multicast group in the place of a bus.
 pub(super) struct UdpMulticast {
@@ -149,7 +152,7 @@ impl UdpMulticast {
     }
 }
 
-/// A frame as a datagram.
+/// A frame as a datagram: one MessagePack map.
 fn packed(frame: &Frame) -> io::Result<Vec<u8>> {
     let data = frame.bytes();
     let entry = |name: &str, value: Value| (Value::from(name), value);

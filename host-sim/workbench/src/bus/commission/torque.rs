@@ -24,7 +24,7 @@ const SWEEP_RAD_S: f64 = 0.15;
 /// Parts of a sweep: their spread is the deviation of its mean.
 const BLOCKS: usize = 8;
 /// Angle between the pose of rest and that in which a joint weighs, rad.
-pub(super) const TILT_RAD: f64 = 0.6;
+const TILT_RAD: f64 = 0.6;
 /// Largest error of a gain that a data sheet explains.
 const GAIN_ERROR: f64 = 0.2;
 

@@ -1,6 +1,9 @@
 //! One simulated drive: frames in, torque and frames out; and faults of the drives and their bus.
 
-use foretorque_link::drives::{ControlMode, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply, Order, Protocol, Request, Scale};
+use foretorque_link::drives::{
+    ControlMode, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply, Order,
+    Protocol, Request, Scale,
+};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;

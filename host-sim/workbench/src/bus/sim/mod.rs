@@ -5,10 +5,10 @@
 //! held by its brakes.
 
 mod drive;
-mod faults;
 
-pub use drive::{COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, SimulatedDrive};
-pub use faults::{LineFault, TimedFault};
+pub use drive::{
+    COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, LineFault, SimulatedDrive, TimedFault,
+};
 
 use super::{Ask, BitRates, BusError, Network, frame_time_s};
 use crate::dynamics::Joints;
