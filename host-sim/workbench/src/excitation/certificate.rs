@@ -1,17 +1,16 @@
 //! Certificate of an excitation: every limit with its worst value, on a fine grid with bounds between its points.
 
 use super::information::{Criterion, NOISE, SAMPLES, condition_number};
-use super::{refused, unseen};
-use crate::Refusal;
-use serde::Serialize;
 use super::objective::{Objective, SearchConfig};
-use super::path::Excitation;
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
 use super::series::Extremes;
+use super::{Excitation, refused, unseen};
+use crate::Refusal;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
+use serde::Serialize;
 use std::f64::consts::TAU;
 
 /// One limit, and the worst that the path makes of it.
@@ -33,12 +32,7 @@ pub struct LimitCheck {
 
 impl LimitCheck {
     /// A value that must not exceed its limit.
-    pub(super) fn at_most(
-        limit: &'static str,
-        of: &str,
-        unit: &'static str,
-        value: (f64, f64),
-    ) -> Self {
+    fn at_most(limit: &'static str, of: &str, unit: &'static str, value: (f64, f64)) -> Self {
         let (worst, allowed) = value;
         let margin = allowed - worst;
         Self {
@@ -52,12 +46,7 @@ impl LimitCheck {
     }
 
     /// A value that must not fall below its limit.
-    pub(super) fn at_least(
-        limit: &'static str,
-        of: &str,
-        unit: &'static str,
-        value: (f64, f64),
-    ) -> Self {
+    fn at_least(limit: &'static str, of: &str, unit: &'static str, value: (f64, f64)) -> Self {
         let margin = value.0 - value.1;
         Self {
             margin,
@@ -66,7 +55,7 @@ impl LimitCheck {
     }
 
     /// Margin over the limit. Metres of clearance have no size of their own: against a tenth of a metre.
-    pub(super) fn relative_margin(&self) -> f64 {
+    fn relative_margin(&self) -> f64 {
         self.margin / self.allowed.abs().max(0.1)
     }
 
@@ -370,9 +359,9 @@ fn clearance_limits(
 
 #[cfg(test)]
 mod tests {
-    use crate::excitation::path::Excitation;
-    use crate::excitation::series::JointSeries;
     use super::*;
+    use crate::excitation::Excitation;
+    use crate::excitation::series::JointSeries;
 
     /// One joint far from its torque limit, with a fast and light one behind it.
     #[test]

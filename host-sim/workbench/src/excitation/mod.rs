@@ -19,40 +19,24 @@ mod rates;
 mod rows;
 mod search;
 mod series;
+
 pub use certificate::{Certificate, LimitCheck};
 pub use information::Criterion;
 pub use objective::SearchConfig;
-pub use path::{Excitation, QuickConfig};
 pub use search::optimise;
 pub use series::{JointSeries, ORDER};
 
 use crate::Refusal;
-use certificate::Certificate;
-use rows::{Frames, Rows};
-use series::{Extremes, JointSeries, ORDER};
 use crate::dynamics::{Motion, State};
 use crate::metrics::condition_of;
 use crate::robot::Robot;
-use foretorque_link::excitation::{ExcitationProgram, HARMONICS, MotionBounds, self as board};
+use foretorque_link::excitation::{self as board, ExcitationProgram, HARMONICS, MotionBounds};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rows::{Frames, Rows};
 use serde::{Deserialize, Serialize};
+use series::Extremes;
 use std::f64::consts::{PI, TAU};
-
-/// The refusal of an excitation.
-fn refused(problem: impl std::fmt::Display) -> Refusal {
-    Refusal::of("excitation", problem)
-}
-
-/// The refusal of a robot that has not `expected` joints.
-fn other_joints(found: usize, expected: usize) -> Refusal {
-    refused(format!("{found} joints where {expected} are expected"))
-}
-
-/// The refusal of paths whose torque does not distinguish all parameters.
-fn unseen() -> Refusal {
-    refused("within these limits torque cannot see all base parameters")
-}
 
 /// A periodic excitation of all joints, at rest at both ends of the period.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,7 +58,7 @@ pub struct Excitation {
 
 impl Excitation {
     /// The series of all joints of a robot, without a certificate.
-    pub(super) fn of(robot: &Robot, period_s: f64, seed: u64, joints: Vec<JointSeries>) -> Self {
+    fn of(robot: &Robot, period_s: f64, seed: u64, joints: Vec<JointSeries>) -> Self {
         Self {
             robot: robot.name.clone(),
             period_s,
@@ -245,6 +229,21 @@ impl Excitation {
         let stacked = stacked.columns(0, rigid).into_owned();
         condition_of(&stacked.tr_mul(&stacked))
     }
+}
+
+/// The refusal of an excitation.
+fn refused(problem: impl std::fmt::Display) -> Refusal {
+    Refusal::of("excitation", problem)
+}
+
+/// The refusal of a robot that has not `expected` joints.
+fn other_joints(found: usize, expected: usize) -> Refusal {
+    refused(format!("{found} joints where {expected} are expected"))
+}
+
+/// The refusal of paths whose torque does not distinguish all parameters.
+fn unseen() -> Refusal {
+    refused("within these limits torque cannot see all base parameters")
 }
 
 #[cfg(test)]

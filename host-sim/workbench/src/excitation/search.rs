@@ -4,19 +4,18 @@ use super::certificate::{Certificate, certify};
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
 use super::objective::{INSTANTS, Objective, PenaltyWeights, SearchConfig, basis, descend};
-use super::path::Excitation;
 use super::rows::{Frames, Rows};
 use super::series::{Bases, Extremes, JointSeries, VARIABLES};
-use super::{refused, unseen};
+use super::{Excitation, refused, unseen};
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
+use crate::trajectory::via::TORQUE_SHARE;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 use std::num::NonZeroUsize;
-use crate::trajectory::via::TORQUE_SHARE;
 
 /// Share of the limits that a search uses: motion between its instants takes 0.2 %.
 const LIMIT_SHARE: f64 = 0.995;
@@ -309,14 +308,14 @@ const SLOWER: f64 = 0.7;
 const SLOWDOWNS: usize = 12;
 /// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
 /// what bounds on the rates between points leave.
-pub(super) const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
+const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
 
 impl Search<'_> {
     /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
     /// them. Gravity, friction and inertia are those of the description.
     ///
     /// Errors: a line that names the joints that need more however slow they are.
-    pub(super) fn adapt_speed(&mut self) -> Result<(), Refusal> {
+    fn adapt_speed(&mut self) -> Result<(), Refusal> {
         let full = self.objective.limits.clone();
         for torque_share in TORQUE_SHARES {
             self.objective.torque = torques(self.robot, torque_share);
@@ -392,7 +391,7 @@ impl Search<'_> {
 }
 
 /// Torque that friction leaves each joint of `share` of its limit, N·m; a tenth of the limit at least.
-pub(super) fn torques(robot: &Robot, share: f64) -> PerJoint<f64> {
+fn torques(robot: &Robot, share: f64) -> PerJoint<f64> {
     PerJoint::from_fn(robot.joint_count(), |j| {
         let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
         let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
