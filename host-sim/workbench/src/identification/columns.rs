@@ -1,13 +1,12 @@
 //! Columns of the linear model: base parameters, rotor inertias, and a choice of friction terms.
 
 use crate::Refusal;
-use foretorque::dynamics::{COGGING_COLUMNS, FrictionColumn, FrictionPoint};
-use std::fmt;
-use std::str::FromStr;
-use super::terms::FrictionTerm::*;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::robot::{LINK_PARAMETERS, Robot};
+use foretorque::dynamics::{COGGING_COLUMNS, FrictionColumn, FrictionPoint};
 use nalgebra::{DMatrix, DVector};
+use std::fmt;
+use std::str::FromStr;
 
 /// One friction term of a joint, linear in its parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +25,7 @@ use FrictionTerm::*;
 
 impl FrictionTerm {
     /// Symbol, as in a parameter bank, and unit of the parameter.
-    pub(super) fn symbol_and_unit(self) -> (&'static str, &'static str) {
+    fn symbol_and_unit(self) -> (&'static str, &'static str) {
         match self {
             Board(column) => (column.properties().symbol, column.properties().unit),
             Root => ("Fr", "N·m·(s/rad)^0.5"),
@@ -44,7 +43,7 @@ impl FrictionTerm {
     }
 }
 
-pub(super) const LOAD: FrictionTerm = Board(FrictionColumn::Load);
+const LOAD: FrictionTerm = Board(FrictionColumn::Load);
 
 /// A choice of friction terms.
 #[derive(Clone, Debug, PartialEq, Eq)]

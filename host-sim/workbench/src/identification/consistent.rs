@@ -13,10 +13,10 @@
 //! path-following Newton method minimises the whole. A conic solver from a library would need LAPACK for its semidefinite
 //! cones; 4 × 4 blocks need only the Cholesky factors of nalgebra.
 
+use super::columns::FrictionTerm::Board;
 use super::columns::Layout;
 use super::methods::Fit;
 use super::normal::solve;
-use super::terms::FrictionTerm::Board;
 use crate::dynamics::BaseMap;
 use crate::robot::{LINK_PARAMETERS, Link, Robot};
 use foretorque::dynamics::{FrictionColumn, SHEAR_WIDTH, STRIBECK_WIDTH};

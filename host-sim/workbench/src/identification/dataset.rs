@@ -1,8 +1,7 @@
 //! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
-use super::cogging::{Border, SpeedSums};
 use super::columns::Layout;
-use super::normal::NormalEquations;
+use super::normal::{Border, NormalEquations, SpeedSums};
 use super::prepare::{Preparation, Prepared};
 use crate::dynamics::{Motion, PerJoint};
 use nalgebra::DVector;

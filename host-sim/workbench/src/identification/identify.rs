@@ -1,20 +1,18 @@
 //! From logs to a report and the parameters of a bank.
 
 use super::IdentifyError;
-use super::cogging::CoggingAmplitudes;
-use super::columns::Layout;
+use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
-use super::fourier::folded;
 use super::gains::with_gains;
 use super::judge::{Judgement, after_fit};
 use super::methods::{Fit, MethodName, wls};
+use super::normal::CoggingAmplitudes;
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, Problem, Progress, TrainingData};
 use super::record::{RIVALS, Report, Unseen};
 use super::solve::solve_all;
-use super::stream::for_each_prepared;
+use super::stream::{folded, for_each_prepared};
 use super::study::{Study, key_of, recommended, truths};
-use super::terms::ColumnSet;
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;

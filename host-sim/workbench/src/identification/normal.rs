@@ -8,8 +8,8 @@ use super::IdentifyError;
 use super::columns::Layout;
 use crate::dynamics::PerJoint;
 use crate::metrics::{condition_of, scaled};
-use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
 use crate::training::SpeedPoint;
+use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
 
 /// Least part of a column that the columns left of it do not explain, as a share of its length. Useful excitations leave
 /// 1e-2 and more, encoder noise on a joint that is held still about 1e-5.
@@ -158,7 +158,7 @@ impl NormalEquations {
 }
 
 /// The matrix with a unit diagonal, and the reciprocal column lengths that make it so.
-pub(super) fn equilibrated(gram: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
+fn equilibrated(gram: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     let inverse = gram
         .diagonal()
         .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
@@ -179,7 +179,10 @@ pub(super) fn solve(
     Some((theta, scaled(&cholesky.inverse(), &inverse)))
 }
 
-/// Amplitudes of sine and cosine of every joint, N·m.
+/// Amplitudes of sine and cosine of every joint's cogging, N·m: of the torque that repeats with the position.
+///
+/// They are direct connections of the residual networks. Linear as they are, they follow from sums over rows, and the board
+/// has a place for them: the cogging columns of its friction.
 pub type CoggingAmplitudes = PerJoint<[f64; 2]>;
 
 /// Gain in squared residuals over their variance from which a joint keeps its connections: two of them reach that by
@@ -361,8 +364,8 @@ impl SpeedSums {
 
 #[cfg(test)]
 mod tests {
-    use crate::identification::dataset::{SampleRow, random_rows};
     use crate::dynamics::RigidBodies;
+    use crate::identification::dataset::{SampleRow, random_rows};
     use crate::identification::{ColumnSet, Layout, MethodName, fit_rows};
     use crate::robot::Robot;
 

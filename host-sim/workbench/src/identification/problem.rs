@@ -1,10 +1,9 @@
 //! Nouns of an identification: problem, training data, candidate model, result of a method.
 
-use super::cogging::{CoggingAmplitudes, SpeedSums};
 use super::columns::Layout;
 use super::dataset::{Dataset, RowSums, SampleRow};
 use super::methods::{Fit, MethodName, huber};
-use super::normal::NormalEquations;
+use super::normal::{CoggingAmplitudes, NormalEquations, SpeedSums};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use crate::training::{BlackBox, LinearLayer};

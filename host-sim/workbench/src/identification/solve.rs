@@ -4,19 +4,17 @@ use super::IdentifyError;
 use super::columns::Layout;
 use super::consistent::consistent;
 use super::dataset::SampleRow;
-use super::evidence::evidence;
-use super::methods::{Fit, MethodName, irls, ols, wls};
+use super::methods::{Fit, MethodName, evidence, irls, ols, wls};
+use super::normal::{CoggingAmplitudes, NormalEquations};
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
-use crate::robot::Robot;
-use crate::training::{BlackBox, Descent, PhysicalConfig, Trained, train_residual};
-use std::time::Instant;
-use super::cogging::CoggingAmplitudes;
-use super::normal::NormalEquations;
 use crate::dynamics::PerJoint;
 use crate::parallel::in_parallel;
+use crate::robot::Robot;
+use crate::training::{BlackBox, Descent, PhysicalConfig, Trained, train_residual};
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
+use std::time::Instant;
 
 /// Trains `methods` on `rows`, whose panels are those of `layout`: for studies over many small sets of rows.
 ///
@@ -167,7 +165,7 @@ type Linear = (Fit, CoggingAmplitudes);
 
 /// Result of `bp_residual`: columns of the board fitted to rows without spikes and networks trained on what is left, in
 /// turns.
-pub(super) fn residual(
+fn residual(
     problem: &Problem<'_>,
     data: &TrainingData<'_>,
     progress: Progress<'_>,

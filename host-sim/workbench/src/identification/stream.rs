@@ -1,20 +1,19 @@
 //! Logs as prepared rows: as a stream of stretches, or a periodic one folded into one period.
 
-use super::clock::GAP_PERIODS;
 use super::columns::Layout;
+use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
+use super::normal::SpeedSums;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch, states};
-use super::whole_log::WholeLog;
+use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::{IdentifyError, refused};
+use crate::Refusal;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use crate::table::TableError;
+use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::mpsc::{SyncSender, sync_channel};
-use super::cogging::SpeedSums;
-use super::filter::{despiked, median};
-use super::{IdentifyError, refused};
-use crate::Refusal;
-use std::f64::consts::TAU;
 
 /// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
 const STRETCH: usize = 16_384;
@@ -120,6 +119,9 @@ const CHUNK: usize = 16_384;
 const UNEVEN: f64 = 0.25;
 
 /// Folds a log whose motion repeats every `period_s` into one period and prepares it. Memory is that of one period.
+///
+/// Everything between the harmonics of a periodic motion is noise: averaging and projection remove it without edges, and
+/// the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
 ///
 /// Errors: [`TableError`] of a bad row; one line when the period is no whole number of rows, a row is out of place, or the
 /// log is shorter than the period.

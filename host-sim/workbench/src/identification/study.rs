@@ -1,17 +1,15 @@
 //! All methods side by side on the same logs, and their errors against known true parameters.
 
 use super::IdentifyError;
-use super::columns::Layout;
+use super::columns::{FrictionTerm, Layout};
 use super::consistent::consistent;
 use super::dataset::Dataset;
-use super::evidence::evidence;
 use super::judge::description;
-use super::methods::{Fit, MethodName, wls};
+use super::methods::{Fit, MethodName, evidence, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
 use super::record::{MethodRecord, RIVALS, Unseen, ValidationRecord, base_error};
 use super::stream::for_each_prepared;
-use super::terms::FrictionTerm;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, Trace, learning_curves, split};
 use crate::robot::Robot;

@@ -146,9 +146,9 @@ pub(super) fn with_block_deviations(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::columns::ColumnSet;
     use crate::identification::dataset::{RowSums, random_rows};
     use crate::identification::methods::wls;
-    use crate::identification::terms::ColumnSet;
     use crate::robot::Robot;
     use rand::{Rng, SeedableRng};
 

@@ -240,7 +240,7 @@ const EVEN: f64 = 0.05;
 
 /// Use of the stamps of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Clock {
+enum Clock {
     /// Rows are evenly spaced, but for lost ones.
     Even,
     /// Rows are evenly spaced, stamped on arrival.
@@ -251,7 +251,7 @@ pub(super) enum Clock {
 
 /// Mean period of the steps, s, from their median: steps that scatter about two lengths have their median at the edge of the
 /// shorter.
-pub(super) fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
+fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
     let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * median_s);
     let (time_s, periods) = short.fold((0.0, 0.0), |(time_s, periods), step_s| {
         (
@@ -268,7 +268,7 @@ pub(super) fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> 
 
 /// The clock of a log, from its first rows. Where steps are uneven and the log has velocities, these decide: stamps are
 /// true where dq = q̇ dt holds better with them than with even steps.
-pub(super) fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
+fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
     let (mut jitter, mut count, mut shortest) = (0.0, 0.0, f64::INFINITY);
     let steps = rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
     let period_s = mean_period_s(steps, period_s);
@@ -304,7 +304,7 @@ pub(super) fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock
 }
 
 /// Number of rows in which the values of a moving arm are the same, median.
-pub(super) fn repeats(rows: &[LogRow]) -> usize {
+fn repeats(rows: &[LogRow]) -> usize {
     let equal = rows.chunk_by(|a, b| (a.q, a.tau) == (b.q, b.tau));
     let mut counts: Vec<usize> = equal.map(<[LogRow]>::len).collect();
     counts.sort_unstable();

@@ -47,7 +47,7 @@ struct Sums {
 }
 
 /// Rows between two delays that are tried.
-pub(super) fn step_rows(period_s: f64) -> usize {
+fn step_rows(period_s: f64) -> usize {
     ((LONGEST_S / TRIED as f64 / period_s).round() as usize).max(1)
 }
 

@@ -11,15 +11,13 @@ pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
-use super::clock::GAP_PERIODS;
-use super::columns::Layout;
+use super::columns::{ColumnSet, Layout};
 use super::dataset::Thinned;
 use super::log::Roughness;
 use super::normal::NormalEquations;
 use super::prepare::{PrepareConfig, other_unit_of_time};
 use super::stream::for_each_prepared;
-use super::terms::ColumnSet;
-use super::whole_log::WholeLog;
+use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use compare::compare;
