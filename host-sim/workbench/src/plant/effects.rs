@@ -4,13 +4,13 @@ use super::Measurement;
 use crate::Refusal;
 use crate::dynamics::Joints;
 use crate::files::at;
+use crate::robot::Link;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::path::Path;
-use crate::robot::Link;
 
 /// Effects of real drives. A field of 0 switches its effect off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
@@ -105,7 +105,7 @@ impl PlantEffects {
 #[derive(Clone, Debug)]
 pub(super) struct DriveErrors<const N: usize> {
     /// Ratio of delivered to asked torque.
-    pub(super) gain: Joints<N>,
+    gain: Joints<N>,
     /// Zero error of the current sensor, N·m; amplitude, N·m, and phase, rad, of its drift.
     offset: Joints<N>,
     drift: Joints<N>,
