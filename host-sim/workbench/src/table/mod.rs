@@ -4,7 +4,6 @@
 //! ends in `.gz` is compressed. Every error names file, line and column.
 
 mod bag;
-mod mcap;
 mod rows;
 mod writer;
 

@@ -6,13 +6,13 @@ use super::is_compressed;
 use crate::files::WholeFile;
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use std::{fmt, io};
-use std::io::{self, Write};
-use std::path::Path;
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{WriteOptions, Writer};
 use std::collections::BTreeMap;
+use std::fmt;
+use std::io::{self, Write};
+use std::path::Path;
 
 /// Writes a table that is whole or absent: CSV, MCAP where the name ends in `.mcap`, or both.
 pub struct TableWriter {
@@ -139,7 +139,7 @@ fn topic_of(column: &str) -> &'static str {
 }
 
 /// Writes rows as messages.
-pub(super) struct McapTable {
+struct McapTable {
     writer: Writer<NoSeek<WholeFile>>,
     /// Channel, its columns with their names as JSON keys.
     channels: Vec<(u16, Vec<(usize, String)>)>,
@@ -155,7 +155,7 @@ fn failed(error: mcap::McapError) -> io::Error {
 }
 
 impl McapTable {
-    pub(super) fn create(path: &Path, header: &[String]) -> io::Result<Self> {
+    fn create(path: &Path, header: &[String]) -> io::Result<Self> {
         let mut writer = WriteOptions::new()
             .library("foretorque")
             .chunk_size(Some(CHUNK))
@@ -199,7 +199,7 @@ impl McapTable {
     }
 
     /// Adds a row of numbers as they stand in the CSV.
-    pub(super) fn row(&mut self, values: &[String]) -> io::Result<()> {
+    fn row(&mut self, values: &[String]) -> io::Result<()> {
         let t_s: f64 = self
             .time
             .and_then(|place| values.get(place)?.parse().ok())
@@ -230,7 +230,7 @@ impl McapTable {
         Ok(())
     }
 
-    pub(super) fn finish(mut self) -> io::Result<()> {
+    fn finish(mut self) -> io::Result<()> {
         self.writer.finish().map_err(failed)?;
         self.writer.into_inner().into_inner().finish()
     }
