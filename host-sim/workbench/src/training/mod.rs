@@ -5,7 +5,7 @@
 
 mod physical;
 mod residual;
-pub use network::{BlackBox, TrainingNetwork};
+
 pub use physical::{Descent, LinearLayer, PhysicalConfig, Trained};
 pub use residual::{SpeedPoint, train_residual};
 
