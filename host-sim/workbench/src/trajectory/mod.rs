@@ -6,12 +6,12 @@ pub mod via;
 use crate::Refusal;
 use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
+use crate::files::at;
 use crate::robot::Robot;
 use crate::table::{StateReader, StateRow, TimeColumn};
-use via::ViaPath;
-use crate::files::at;
 use std::fmt::Display;
 use std::path::Path;
+use via::ViaPath;
 
 /// Length of the validation path, s.
 pub const VALIDATION_S: f64 = 30.0;

@@ -1,16 +1,17 @@
 //! Paths of the tool: a small file of lines, circles and via points, laid out as joint motion by inverse kinematics.
 //!
-//! `file` (text → moves) → `Curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
+//! `parse` (text → moves) → `Curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
 //! and accelerations tick by tick, every limit checked).
 
 mod plan;
+
 pub use plan::plan;
 
+use super::via::ViaPath;
+use crate::Refusal;
 use crate::kinematics::{Twist, rotation_vector, stacked};
 use crate::robot::Placement;
-use super::via::ViaPath;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3, Vector6};
-use crate::Refusal;
 use serde::Deserialize;
 
 /// A move may turn the tool this far from where it started, rad: half a turn has two ways round.
@@ -214,6 +215,7 @@ fn rates(
     (omega, apply(phidd) + drift)
 }
 
+/// The file of a path: TOML, units in the names of the fields. `docs/identification.md` describes the format.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PathFile {
@@ -253,30 +255,30 @@ struct CircleFile {
 
 /// A path in the file's terms.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Path {
+struct Path {
     /// The tool's tip in the flange.
-    pub(super) tool: Placement,
+    tool: Placement,
     /// Joint positions, rad, near the solution of the start.
-    pub(super) near_q: Option<Vec<f64>>,
-    pub(super) start: Placement,
-    pub(super) moves: Vec<Move>,
+    near_q: Option<Vec<f64>>,
+    start: Placement,
+    moves: Vec<Move>,
 }
 
 /// One move from where the last one ended, from rest to rest.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Move {
+struct Move {
     /// Its kind in the file.
-    pub(super) kind: &'static str,
+    kind: &'static str,
     /// Points of the file on its way.
-    pub(super) points: Vec<Placement>,
-    pub(super) curve: Curve,
+    points: Vec<Placement>,
+    curve: Curve,
 }
 
 /// Longest move, s: an hour of ticks is 3.6 million rows.
 const LONGEST_S: f64 = 3600.0;
 
 /// Reads and checks a path.
-pub(super) fn parse(text: &str) -> Result<Path, Refusal> {
+fn parse(text: &str) -> Result<Path, Refusal> {
     let raw: PathFile = toml::from_str(text).map_err(|error| {
         let (line, reason) = crate::files::toml_complaint(text, &error);
         Refusal(format!("line {line}: {reason}"))
