@@ -1,7 +1,6 @@
 //! The firmware in the emulator, through its real links.
 
-use crate::talk::{Talk, credible, sample};
-use crate::trial::{PATIENCE, connected, native, scratch, started};
+use crate::trial::{PATIENCE, Talk, connected, credible, native, sample, scratch, started};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_f405::chip;
 use foretorque_link::wire::{Configuration, CounterKind, Pacing};
