@@ -11,11 +11,11 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// Period of the drive's own loop, s.
-pub const DRIVE_PERIOD_S: f64 = 1e-4;
+pub(super) const DRIVE_PERIOD_S: f64 = 1e-4;
 /// Bandwidth of the speed in the drive's own loop and of its reported torque, Hz.
 const BANDWIDTH_HZ: f64 = 400.0;
 /// Fault code of a drive that no frame reaches any more: Damiao's.
-pub const COMMUNICATION_LOST: u32 = 0xd;
+const COMMUNICATION_LOST: u32 = 0xd;
 
 /// Properties of a drive that no frame shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -259,7 +259,8 @@ impl TimedFault {
         }
     }
 
-    fn active(&self, now_s: f64) -> Option<LineFault> {
+    /// The fault, if it is in force.
+    pub(super) fn active(&self, now_s: f64) -> Option<LineFault> {
         let (fault, time_s) = self.fault.as_ref()?;
         time_s.contains(&now_s).then_some(*fault)
     }
@@ -269,14 +270,6 @@ impl TimedFault {
         let (fault, time_s) = self.fault.as_ref()?;
         let begins = (time_s.start..time_s.start + step_s).contains(&now_s);
         begins.then_some(*fault)
-    }
-
-    pub(super) fn bus_is_off(&self, bus: usize, now_s: f64) -> bool {
-        self.active(now_s) == Some(LineFault::BusOff(bus))
-    }
-
-    pub(super) fn is_dead(&self, joint: usize, now_s: f64) -> bool {
-        self.active(now_s) == Some(LineFault::Dead(joint))
     }
 
     pub(super) fn babble(&self, bus: usize, now_s: f64) -> Option<Frame> {
