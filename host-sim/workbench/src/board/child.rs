@@ -72,7 +72,6 @@ impl Guarded {
         })
     }
 
-    /// Process id of the emulator.
     pub(crate) fn id(&self) -> u32 {
         self.child.id()
     }

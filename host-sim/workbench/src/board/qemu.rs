@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// The emulator's program.
 const EMULATOR: &str = "qemu-system-arm";
 /// Longest time to the board's first byte.
 const BOOT: Duration = Duration::from_secs(10);
@@ -54,14 +53,7 @@ impl Emulator {
         }
         let mut command = Command::new(EMULATOR);
         command
-            .args([
-                "-machine",
-                "netduinoplus2",
-                "-display",
-                "none",
-                "-monitor",
-                "none",
-            ])
+            .args("-machine netduinoplus2 -display none -monitor none".split(' '))
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
