@@ -67,7 +67,6 @@ pub(super) struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// Sums over no equations.
     pub(super) fn new(layout: &Layout) -> Self {
         let joints = layout.active.iter();
         Self {
@@ -95,7 +94,6 @@ impl NormalEquations {
         }
     }
 
-    /// Equations of all joints.
     pub(super) fn count(&self) -> f64 {
         self.joints.iter().map(|joint| joint.count).sum()
     }
@@ -201,7 +199,6 @@ pub(super) struct Border {
 }
 
 impl Border {
-    /// Sums over no rows of so many active columns.
     pub(super) fn new(active: usize) -> Self {
         Self {
             cross: DMatrix::zeros(active, 2),
@@ -279,7 +276,6 @@ impl Bin {
 }
 
 impl SpeedSums {
-    /// Sums over no rows of so many joints.
     pub(super) fn new(joints: usize) -> Self {
         Self {
             bins: vec![vec![None; BINS]; 2 * joints],

@@ -133,7 +133,6 @@ fn physical(
     })
 }
 
-/// Result of `bp_black_box`.
 fn black_box(
     problem: &Problem<'_>,
     data: &TrainingData<'_>,

@@ -159,10 +159,8 @@ pub(super) fn folded(
     }
     let phases = fold.count.len();
     let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
-    let (of_motion, of_torque) = (
-        harmonics(config.motion_hz),
-        harmonics(config.torque_hz.unwrap_or(f64::INFINITY)),
-    );
+    let of_motion = harmonics(config.motion_hz);
+    let of_torque = harmonics(config.torque_hz.unwrap_or(f64::INFINITY));
     notes.push(format!(
         "{name}: {:.2} periods of {period_s} s folded into one; motion on {of_motion} harmonics, torque and regressor on {of_torque}",
         fold.count.iter().sum::<f64>() / phases as f64
@@ -184,9 +182,8 @@ struct Fold {
     joints: usize,
     count: Vec<f64>,
     t_s: Vec<f64>,
-    q: Vec<f64>,
-    tau: Vec<f64>,
-    clean: Vec<f64>,
+    /// Positions, torques, and torques without spikes.
+    tables: [Vec<f64>; 3],
     spikes: usize,
 }
 
@@ -199,12 +196,9 @@ impl Fold {
         }
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
-            return Err(refused(
-                path,
-                format!(
-                    "a period of {period_s} s is no whole number of rows, which are {row_s:.6} s apart"
-                ),
-            ));
+            let rows = format!("rows, which are {row_s:.6} s apart");
+            let problem = format!("a period of {period_s} s is no whole number of {rows}");
+            return Err(refused(path, problem));
         }
         let (phases, joints) = (phases as usize, first[0].q.len());
         Ok(Self {
@@ -213,9 +207,7 @@ impl Fold {
             joints,
             count: vec![0.0; phases],
             t_s: vec![0.0; phases],
-            q: vec![0.0; phases * joints],
-            tau: vec![0.0; phases * joints],
-            clean: vec![0.0; phases * joints],
+            tables: [(); 3].map(|()| vec![0.0; phases * joints]),
             spikes: 0,
         })
     }
@@ -231,7 +223,7 @@ impl Fold {
         let reach = self.preparation(config).spike_reach();
         let (clean, spikes) = despiked(&tau, joints, reach);
         self.spikes += spikes;
-        for (k, row) in rows.iter().enumerate() {
+        for (row, clean) in rows.iter().zip(clean.chunks_exact(joints)) {
             let place = (row.t_s - self.start_s) / self.row_s;
             if (place - place.round()).abs() > UNEVEN {
                 let (name, line, t_s) = (path.display(), row.line, row.t_s);
@@ -243,10 +235,11 @@ impl Fold {
             let phase = place.round() as usize % self.count.len();
             self.count[phase] += 1.0;
             self.t_s[phase] += row.t_s;
-            for joint in 0..joints {
-                self.q[phase * joints + joint] += row.q[joint];
-                self.tau[phase * joints + joint] += row.tau[joint];
-                self.clean[phase * joints + joint] += clean[k * joints + joint];
+            for (table, values) in self.tables.iter_mut().zip([&row.q[..], &row.tau, clean]) {
+                let sums = &mut table[phase * joints..][..joints];
+                sums.iter_mut()
+                    .zip(values)
+                    .for_each(|(sum, value)| *sum += value);
             }
         }
         Ok(())
@@ -261,21 +254,21 @@ impl Fold {
         let joints = self.joints;
         for (phase, count) in self.count.iter().enumerate() {
             self.t_s[phase] /= count;
-            for table in [&mut self.q, &mut self.tau, &mut self.clean] {
-                for value in &mut table[phase * joints..(phase + 1) * joints] {
-                    *value /= count;
-                }
+            for table in &mut self.tables {
+                let sums = &mut table[phase * joints..][..joints];
+                sums.iter_mut().for_each(|sum| *sum /= count);
             }
         }
-        let series = Harmonics::of(&self.q, joints, harmonics);
+        let [q, tau, clean] = self.tables;
+        let series = Harmonics::of(&q, joints, harmonics);
         let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
         Prepared {
             states: states(joints, [&q, &qd, &qdd]),
             panel: Vec::new(),
             cogging_basis: Vec::new(),
             speeds: SpeedSums::new(joints),
-            tau: self.tau,
-            clean: self.clean,
+            tau,
+            clean,
             spikes: self.spikes,
             core: 0..self.count.len(),
             t_s: self.t_s,
@@ -287,23 +280,19 @@ impl Fold {
 struct Harmonics {
     width: usize,
     coefficients: Vec<f64>,
-    /// cos and sin of each phase.
+    /// sin and cos of each phase.
     turn: Vec<(f64, f64)>,
 }
 
 impl Harmonics {
     fn of(table: &[f64], width: usize, count: usize) -> Self {
         let phases = table.len() / width;
-        let turn: Vec<(f64, f64)> = (0..phases)
-            .map(|phase| {
-                let (sin, cos) = (TAU * phase as f64 / phases as f64).sin_cos();
-                (cos, sin)
-            })
-            .collect();
+        let turn = |phase: usize| (TAU * phase as f64 / phases as f64).sin_cos();
+        let turn: Vec<(f64, f64)> = (0..phases).map(turn).collect();
         let mut coefficients = vec![0.0; (2 * count + 1) * width];
         for (phase, row) in table.chunks_exact(width).enumerate() {
             for (k, place) in coefficients.chunks_exact_mut(width).enumerate() {
-                let (cos, sin) = turn[k.div_ceil(2) * phase % phases];
+                let (sin, cos) = turn[k.div_ceil(2) * phase % phases];
                 let scale = if k == 0 { 1.0 } else { 2.0 } / phases as f64;
                 let factor = scale * if k % 2 == 1 || k == 0 { cos } else { sin };
                 for (sum, value) in place.iter_mut().zip(row) {
@@ -325,7 +314,7 @@ impl Harmonics {
         for (phase, row) in table.chunks_exact_mut(self.width).enumerate() {
             for (k, own) in self.coefficients.chunks_exact(self.width).enumerate() {
                 let harmonic = k.div_ceil(2);
-                let (cos, sin) = self.turn[harmonic * phase % phases];
+                let (sin, cos) = self.turn[harmonic * phase % phases];
                 let w = TAU * harmonic as f64 / period_s;
                 let even = k % 2 == 1 || k == 0;
                 let factor = match (derivative, even) {

@@ -22,7 +22,6 @@ use std::path::{Path, PathBuf};
 /// Name of the linear part of networks, while it competes with them.
 const LINEAR_PART: &str = "linear part";
 
-/// Records by name of the method.
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
 
 /// All methods on one dataset.

@@ -15,7 +15,6 @@ use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Number of draws.
 const DRAWS: usize = 200;
 /// Number of blocks of training rows.
 const BLOCKS: usize = 40;

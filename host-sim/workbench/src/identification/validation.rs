@@ -63,13 +63,11 @@ fn predictions(
     table
 }
 
-/// Most rows of the sample.
 const SAMPLE: usize = 2000;
 /// Most points of the trace.
 const TRACE: usize = 1500;
 
 impl FileScores {
-    /// Scores over no rows.
     pub(super) fn new(layout: &Layout, candidates: usize) -> Self {
         let none = vec![no_sums(layout.joints()); candidates];
         Self {
@@ -290,7 +288,6 @@ fn error_sums(layout: &Layout, candidate: &Candidate, rows: &[SampleRow]) -> Per
     sums
 }
 
-/// Sums over no rows.
 fn no_sums(joints: usize) -> PerJoint<ErrorSums> {
     PerJoint::repeat(joints, ErrorSums::default())
 }
