@@ -200,7 +200,7 @@ pub(super) fn certify(
         points,
         between_points: BETWEEN,
         limits,
-        condition_number_columns: objective.rows.link_count(),
+        condition_number_columns: objective.rows.link_columns.len(),
         condition_number_dh: condition_dh,
         condition_number_board: condition_board,
         condition_number_note: CONDITION_NOTE,

@@ -72,7 +72,6 @@ impl Clearances {
         }
     }
 
-    /// Number of distances.
     pub(super) fn count(&self) -> usize {
         self.pairs.len()
     }

@@ -231,7 +231,6 @@ impl Excitation {
     }
 }
 
-/// The refusal of an excitation.
 fn refused(problem: impl std::fmt::Display) -> Refusal {
     Refusal::of("excitation", problem)
 }

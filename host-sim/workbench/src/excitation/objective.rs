@@ -96,7 +96,6 @@ pub(super) fn basis(bases: &Bases, period_s: f64) -> Vec<[[f64; 3]; VARIABLES]> 
 /// Weights and clearances of the penalties.
 #[derive(Clone, Debug)]
 pub(super) struct PenaltyWeights {
-    /// Weight of the penalties.
     pub(super) weight: f64,
     /// Required distance of each pair, m: the limit plus a margin for the time between the instants.
     pub(super) clearance: Vec<f64>,

@@ -83,14 +83,8 @@ impl Rows {
         rows
     }
 
-    /// Number of joints.
     pub(super) fn joints(&self) -> usize {
         self.placements.len()
-    }
-
-    /// Base columns of the links: 36 for the UR5.
-    pub(super) fn link_count(&self) -> usize {
-        self.link_columns.len()
     }
 
     /// All columns.
@@ -98,7 +92,6 @@ impl Rows {
         self.link_columns.len() + self.rotor_columns.len() + 2 * self.joints()
     }
 
-    /// Columns of link `link`.
     pub(super) fn columns_of(&self, link: usize) -> Range<usize> {
         let before = |link: usize| self.link_columns.partition_point(|column| column.0 < link);
         before(link)..before(link + 1)
@@ -228,7 +221,6 @@ impl Rows {
         transposed
     }
 
-    /// The rows of all `states`, stacked.
     pub(super) fn stacked(&self, states: &[Motion]) -> DMatrix<f64> {
         self.transposed(states, 1.0).transpose()
     }
@@ -281,7 +273,10 @@ mod tests {
         ] {
             let model = RigidBodies::new(robot);
             let rows = Rows::new(robot, frames);
-            assert_eq!((rows.link_count(), rows.count()), (36, 36 + rotors + 12));
+            assert_eq!(
+                (rows.link_columns.len(), rows.count()),
+                (36, 36 + rotors + 12)
+            );
             let parameters = rows.parameters(robot).expect("solves");
             let mut block = vec![0.0; 6 * rows.count()];
             for mut state in random_motions(6, 60).into_iter().skip(STATES) {

@@ -94,13 +94,11 @@ impl TrainingNetwork {
     }
 }
 
-/// Hidden units.
 const HIDDEN: usize = 32;
 /// Rows of one step of the descent.
 const BATCH: usize = 64;
 /// Most rows of the training: more do not reduce the error on unseen paths.
 const ROWS: usize = 8000;
-/// Passes over the rows.
 const EPOCHS: usize = 80;
 /// Learning rate at first; it falls to a hundredth.
 const RATE: f64 = 3e-3;
@@ -163,9 +161,9 @@ impl BlackBox {
                     for joint in 0..joints {
                         let target =
                             (tau[joint] - out.torque_centre[joint]) / out.torque_spread[joint];
-                        e[joint] = f64::from(u8::from(moving[joint])) * (e[joint] - target);
+                        e[joint] = f64::from(moving[joint]) * (e[joint] - target);
                         sum += e[joint] * e[joint];
-                        count += f64::from(u8::from(moving[joint]));
+                        count += f64::from(moving[joint]);
                     }
                     out.network.backward(&inputs[row], &a, &e, &mut gradient);
                 }

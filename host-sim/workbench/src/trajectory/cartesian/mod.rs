@@ -62,10 +62,6 @@ fn step(from: &Placement, to: &Placement) -> Result<Vector6<f64>, &'static str> 
 
 /// Errors of a shape: what makes it none.
 impl Shape {
-    fn line(from: &Placement, to: &Placement) -> Result<Self, &'static str> {
-        Ok(Self::Line(step(from, to)?))
-    }
-
     fn circle(
         from: &Placement,
         centre: Vector3<f64>,
@@ -101,7 +97,6 @@ impl Shape {
 }
 
 impl Curve {
-    /// Pose at the end.
     fn end(&self) -> Placement {
         self.at(self.duration_s).pose
     }
@@ -130,15 +125,12 @@ impl Curve {
                 let turned = Rotation3::from_axis_angle(&Unit::new_unchecked(*axis), turn * share);
                 let arm = turned * arm;
                 let (omega, alpha) = (axis * (turn * speed), axis * (turn * rise));
-                let (v, a) = (
-                    omega.cross(&arm),
-                    alpha.cross(&arm) + omega.cross(&omega.cross(&arm)),
-                );
-                let still = Vector3::zeros();
-                let (rot, omega, alpha) = if *carry {
-                    (turned.matrix() * self.from.rot_parent_child, omega, alpha)
-                } else {
-                    (self.from.rot_parent_child, still, still)
+                let v = omega.cross(&arm);
+                let a = alpha.cross(&arm) + omega.cross(&omega.cross(&arm));
+                let (still, rot) = (Vector3::zeros(), self.from.rot_parent_child);
+                let (rot, omega, alpha) = match carry {
+                    true => (turned.matrix() * rot, omega, alpha),
+                    false => (rot, still, still),
                 };
                 Point {
                     pose: Placement {
@@ -310,7 +302,7 @@ fn parse(text: &str) -> Result<Path, Refusal> {
         let (kind, points, shape) = match (&given.line, &given.circle, &given.via) {
             (Some(end), None, None) => {
                 let end = end.placed(&format!("{at}.line"), &from)?;
-                ("line", Vec::new(), Shape::line(&from, &end))
+                ("line", Vec::new(), step(&from, &end).map(Shape::Line))
             }
             (None, Some(circle), None) => {
                 circle.check(&format!("{at}.circle"))?;
@@ -382,10 +374,9 @@ impl CircleFile {
 }
 
 fn finite(name: &str, values: &[f64]) -> Result<(), Refusal> {
-    if values.iter().all(|value| value.is_finite()) {
-        Ok(())
-    } else {
-        Err(Refusal::of(name, "is not a finite number"))
+    match values.iter().all(|value| value.is_finite()) {
+        true => Ok(()),
+        false => Err(Refusal::of(name, "is not a finite number")),
     }
 }
 
