@@ -57,29 +57,22 @@ impl Rows {
             Frames::Dh => joint.dh_frame.unwrap_or_else(Placement::identity),
             Frames::Board => Placement::identity(),
         };
+        let links = joints * LINK_PARAMETERS;
+        let place = |column: usize| (column / LINK_PARAMETERS, column % LINK_PARAMETERS);
         let mut rows = Self {
             placements: robot.joints.iter().map(|joint| joint.placement).collect(),
             frames: robot.joints.iter().map(parameters).collect(),
             gravity: robot.gravity,
             coupling: robot.coupling.clone(),
-            link_columns: (0..joints * LINK_PARAMETERS)
-                .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
-                .collect(),
+            link_columns: (0..links).map(place).collect(),
             rotor_columns: (0..joints).collect(),
         };
         let rigid = (LINK_PARAMETERS + 1) * joints;
         let full = rows.stacked(&random_motions(joints, STATES));
         let (columns, _) = independent_columns(&full.columns(0, rigid).into_owned());
-        let links = joints * LINK_PARAMETERS;
-        rows.link_columns = columns
-            .iter()
-            .filter(|&&c| c < links)
-            .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
-            .collect();
-        rows.rotor_columns = columns
-            .iter()
-            .filter_map(|c| c.checked_sub(links))
-            .collect();
+        let (of_links, of_rotors) = columns.into_iter().partition::<Vec<_>, _>(|c| *c < links);
+        rows.link_columns = of_links.into_iter().map(place).collect();
+        rows.rotor_columns = of_rotors.into_iter().map(|c| c - links).collect();
         rows
     }
 

@@ -118,7 +118,7 @@ pub fn identify(
     let mut study = Study {
         problem,
         dataset: &dataset,
-        bound: wls(&data.sums.all, &layout).ok_or(IdentifyError::Unsolvable)?,
+        bound: wls(&data.sums.all, &layout)?,
         results: solve_all(&problem, &data, progress)?,
         truth: config.truth.as_ref().map(|truth| truths(truth, &layout)),
         progress,

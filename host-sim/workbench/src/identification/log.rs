@@ -305,15 +305,9 @@ impl Roughness {
 
     /// At most joints, of which `joints` gives positions and torques, the torque is far smoother.
     pub(super) fn are_swapped(joints: impl IntoIterator<Item = [Self; 2]>) -> bool {
-        let votes = joints
-            .into_iter()
-            .map(|[q, tau]| tau.first > 0.0 && q.ratio() > 10.0 * tau.ratio());
-        let (mut all, mut swapped) = (0, 0);
-        for vote in votes {
-            all += 1;
-            swapped += usize::from(vote);
-        }
-        swapped * 2 > all
+        let far = |[q, tau]: [Self; 2]| tau.first > 0.0 && q.ratio() > 10.0 * tau.ratio();
+        let votes: Vec<bool> = joints.into_iter().map(far).collect();
+        votes.iter().filter(|vote| **vote).count() * 2 > votes.len()
     }
 }
 

@@ -1,5 +1,6 @@
 //! Least squares: plain, weighted by joint, robust, and with a prior whose weight the training rows choose.
 
+use super::IdentifyError;
 use super::columns::{FrictionTerm, Layout};
 use super::dataset::SampleRow;
 use super::filter::median;
@@ -87,14 +88,14 @@ const HUBER: f64 = 1.345;
 const IRLS_ROUNDS: usize = 30;
 const IRLS_SETTLED: f64 = 1e-6;
 
-/// Ordinary least squares; the standard deviations allow every joint its own noise. `None` when a parameter is unseen.
-pub(super) fn ols(sums: &NormalEquations, layout: &Layout) -> Option<Fit> {
+/// Ordinary least squares; the standard deviations allow every joint its own noise.
+pub(super) fn ols(sums: &NormalEquations, layout: &Layout) -> Result<Fit, IdentifyError> {
     let (gram, moment) = sums.weighted(layout, &vec![1.0; layout.joints()]);
     let (theta, inverse) = solve(&gram, &moment)?;
     let sigma = noise(sums, layout, &theta);
     // (XᵀX)⁻¹ (Σ σ_j² X_jᵀX_j) (XᵀX)⁻¹
     let (scatter, _) = sums.weighted(layout, &sigma.map(|sigma| 1.0 / sigma));
-    Some(Fit {
+    Ok(Fit {
         covariance: &inverse * scatter * &inverse,
         theta,
         sigma,
@@ -103,7 +104,7 @@ pub(super) fn ols(sums: &NormalEquations, layout: &Layout) -> Option<Fit> {
 }
 
 /// Weighted least squares: the noise of each joint from the fit before, and the board's prior of friction.
-pub(super) fn wls(sums: &NormalEquations, layout: &Layout) -> Option<Fit> {
+pub(super) fn wls(sums: &NormalEquations, layout: &Layout) -> Result<Fit, IdentifyError> {
     let mut fit = ols(sums, layout)?;
     for _ in 0..WEIGHT_ROUNDS {
         let (mut gram, moment) = sums.weighted(layout, &fit.sigma);
@@ -116,11 +117,15 @@ pub(super) fn wls(sums: &NormalEquations, layout: &Layout) -> Option<Fit> {
             iterations: fit.iterations + 1,
         };
     }
-    Some(fit)
+    Ok(fit)
 }
 
 /// Huber's estimate over a sample of rows, from the weighted fit of the sums without spikes.
-pub(super) fn irls(clean: &NormalEquations, sample: &[&SampleRow], layout: &Layout) -> Option<Fit> {
+pub(super) fn irls(
+    clean: &NormalEquations,
+    sample: &[&SampleRow],
+    layout: &Layout,
+) -> Result<Fit, IdentifyError> {
     let mut fit = wls(clean, layout)?;
     let places: Vec<usize> = (0..layout.joints()).collect();
     for _ in 0..IRLS_ROUNDS {
@@ -144,7 +149,7 @@ pub(super) fn irls(clean: &NormalEquations, sample: &[&SampleRow], layout: &Layo
             break;
         }
     }
-    Some(fit)
+    Ok(fit)
 }
 
 /// One joint's sums under Huber's weights for the residuals of `theta`, and the spread of these residuals, N·m.
@@ -218,8 +223,7 @@ struct Group {
     size: f64,
 }
 
-/// Fit with a prior from the description whose weight the rows choose: empirical Bayes [MacKay 1992, section 3]. `None` when
-/// the equations cannot be solved.
+/// Fit with a prior from the description whose weight the rows choose: empirical Bayes [MacKay 1992, section 3].
 ///
 /// The masses, centres and inertias of the description are good to an unknown factor, and a friction column beyond viscous
 /// and Coulomb may be absent. Each such group of parameters has a prior of known shape and unknown size g. The sizes
@@ -237,7 +241,7 @@ pub(super) fn evidence(
     layout: &Layout,
     sums: &NormalEquations,
     sigma: &[f64],
-) -> Option<Fit> {
+) -> Result<Fit, IdentifyError> {
     let mut mean = DVector::zeros(layout.parameters.len());
     mean.rows_mut(0, layout.base)
         .copy_from_slice(&robot.base_parameters());
@@ -270,8 +274,8 @@ pub(super) fn evidence(
         }
         found = Some((distance, covariance));
     }
-    let (distance, covariance) = found?;
-    Some(Fit {
+    let (distance, covariance) = found.ok_or(IdentifyError::Unsolvable)?;
+    Ok(Fit {
         theta: mean + distance,
         covariance,
         sigma: sigma.into(),
@@ -280,7 +284,7 @@ pub(super) fn evidence(
 }
 
 /// Inertial parameters of the base set: B D Bᵀ of independent deviations of the standard parameters.
-fn inertial(robot: &Robot, base: usize) -> Option<Group> {
+fn inertial(robot: &Robot, base: usize) -> Result<Group, IdentifyError> {
     let (mut deviations, mut rotors) = (Vec::new(), Vec::new());
     for joint in &robot.joints {
         let standard = joint.link.standard_parameters();
@@ -299,7 +303,7 @@ fn inertial(robot: &Robot, base: usize) -> Option<Group> {
     }
     let covariance = &weights * weights.transpose();
     let (_, precision) = solve(&covariance, &DVector::zeros(base))?;
-    Some(Group {
+    Ok(Group {
         places: (0..base).collect(),
         precision,
         size: 1.0,

@@ -163,18 +163,18 @@ fn equilibrated(gram: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     (scaled(gram, &inverse), inverse)
 }
 
-/// Solution of `gram · theta = moment` and the inverse of `gram`, by Cholesky's method on columns of unit length; `None`
-/// when `gram` is not positive definite.
+/// Solution of `gram · theta = moment` and the inverse of `gram`, by Cholesky's method on columns of unit length.
+///
+/// Errors: [`IdentifyError::Unsolvable`] when `gram` is not positive definite.
 pub(super) fn solve(
     gram: &DMatrix<f64>,
     moment: &DVector<f64>,
-) -> Option<(DVector<f64>, DMatrix<f64>)> {
+) -> Result<(DVector<f64>, DMatrix<f64>), IdentifyError> {
     let (unit, inverse) = equilibrated(gram);
-    let cholesky = unit.cholesky()?;
-    let theta = cholesky
-        .solve(&moment.component_mul(&inverse))
-        .component_mul(&inverse);
-    Some((theta, scaled(&cholesky.inverse(), &inverse)))
+    let cholesky = unit.cholesky().ok_or(IdentifyError::Unsolvable)?;
+    let theta = cholesky.solve(&moment.component_mul(&inverse));
+    let theta = theta.component_mul(&inverse);
+    Ok((theta, scaled(&cholesky.inverse(), &inverse)))
 }
 
 /// Amplitudes of sine and cosine of every joint's cogging, N·m: of the torque that repeats with the position.

@@ -69,8 +69,8 @@ fn solve_one(
     let layout = problem.layout;
     let sampled = data.sample.len();
     let robust = || irls(&data.sums.clean, &data.sample, layout);
-    let linear = |fit: Option<Fit>, rows| {
-        let fit = fit.ok_or(IdentifyError::Unsolvable)?;
+    let linear = |fit: Result<Fit, IdentifyError>, rows| {
+        let fit = fit?;
         Ok(MethodResult {
             epochs: fit.iterations,
             fit: Some(fit.clone()),
@@ -82,17 +82,16 @@ fn solve_one(
         MethodName::Wls => linear(wls(&data.sums.all, layout), data.sums.rows),
         MethodName::Irls => linear(robust(), sampled),
         MethodName::Consistent => {
-            let free = robust().ok_or(IdentifyError::Unsolvable)?;
-            let found =
-                consistent(problem.robot, layout, &free).ok_or(IdentifyError::Unsolvable)?;
+            let found = consistent(problem.robot, layout, &robust()?);
+            let found = found.ok_or(IdentifyError::Unsolvable)?;
             Ok(MethodResult {
                 robot: Some(found.robot),
                 distance_nats: Some(found.distance_nats),
-                ..linear(Some(found.fit), sampled)?
+                ..linear(Ok(found.fit), sampled)?
             })
         }
         MethodName::Evidence => {
-            let free = robust().ok_or(IdentifyError::Unsolvable)?;
+            let free = robust()?;
             let sums = data.robust_sums(layout, &free.theta, &free.sigma);
             linear(evidence(problem.robot, layout, &sums, &free.sigma), sampled)
         }
@@ -109,7 +108,7 @@ fn physical(
     progress: Progress<'_>,
 ) -> Result<MethodResult, IdentifyError> {
     let layout = problem.layout;
-    let reference = wls(&data.sums.all, layout).ok_or(IdentifyError::Unsolvable)?;
+    let reference = wls(&data.sums.all, layout)?;
     let layer = data.layer(layout, &reference);
     let goal = layer.loss_of(&reference.theta);
     let mut watch =
@@ -199,8 +198,7 @@ fn residual(
         .collect();
     let (fit, cogging) = linear;
     let alone = data.sums.clean.subset(problem.layout, problem.board);
-    let alone = wls(&alone, problem.board).ok_or(IdentifyError::Unsolvable)?;
-    let alone = widened(&alone, problem.layout, problem.board);
+    let alone = widened(&wls(&alone, problem.board)?, problem.layout, problem.board);
     let mut candidate = Candidate::Residual {
         theta: fit.theta.clone(),
         cogging,
@@ -258,8 +256,7 @@ fn fit(
             let sums = &mut rest.joints[joint];
             data.sums.cogging[joint].subtract(*amplitude, sums);
         }
-        let found = wls(&rest.subset(layout, board), board).ok_or(IdentifyError::Unsolvable)?;
-        let found = widened(&found, layout, board);
+        let found = widened(&wls(&rest.subset(layout, board), board)?, layout, board);
         for (joint, amplitude) in cogging.iter_mut().enumerate() {
             let own = found.theta.select_rows(&layout.active[joint]);
             *amplitude = data.sums.cogging[joint].best(&own, found.sigma[joint]);

@@ -206,13 +206,16 @@ impl Study<'_> {
                 ..*fit
             }));
         }
-        let free = wls(&sums, board).ok_or(IdentifyError::Unsolvable)?;
+        let free = wls(&sums, board)?;
         let fit = match result.name {
-            MethodName::Consistent => consistent(robot, board, &free).map(|found| found.fit),
-            MethodName::Evidence => evidence(robot, board, &sums, &free.sigma),
-            _ => Some(free),
+            MethodName::Consistent => {
+                let found = consistent(robot, board, &free);
+                found.ok_or(IdentifyError::Unsolvable)?.fit
+            }
+            MethodName::Evidence => evidence(robot, board, &sums, &free.sigma)?,
+            _ => free,
         };
-        fit.map(honest).ok_or(IdentifyError::Unsolvable)
+        Ok(honest(fit))
     }
 }
 

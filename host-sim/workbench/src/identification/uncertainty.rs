@@ -83,7 +83,7 @@ pub(super) fn parameter_intervals(
             layout.add_prior(&mut gram);
         }
         // A draw may miss the blocks which show a parameter.
-        Some(solve(&gram, &moment)?.0)
+        Some(solve(&gram, &moment).ok()?.0)
     });
     let values = |place| draws.iter().map(move |theta: &DVector<f64>| theta[place]);
     (0..size).map(|place| middle(values(place))).collect()
@@ -127,7 +127,7 @@ pub(super) fn with_block_deviations(
     });
     let (mut gram, moment) = sums.weighted(layout, &sigma);
     layout.add_prior(&mut gram);
-    let Some((_, covariance)) = solve(&gram, &moment) else {
+    let Ok((_, covariance)) = solve(&gram, &moment) else {
         return fit;
     };
     // A prior may have made the fit surer than its rows.

@@ -57,12 +57,11 @@ impl PlantEffects {
     pub fn load(path: &Path) -> Result<Self, Refusal> {
         let text = std::fs::read_to_string(path);
         let text = text.map_err(|error| Refusal(at(path, error).to_string()))?;
-        let effects: Self = toml::from_str(&text).map_err(|error| {
-            let words: Vec<&str> = error.message().split_whitespace().collect();
-            Refusal::of(path.display(), words.join(" "))
-        })?;
+        let file = path.display().to_string();
+        let effects = toml::from_str::<Self>(&text);
+        let effects = effects.map_err(|error| Refusal::toml(&file, &text, &error))?;
         match effects.problem() {
-            Some(problem) => Err(Refusal::of(path.display(), problem)),
+            Some(problem) => Err(Refusal::of(file, problem)),
             None => Ok(effects),
         }
     }
