@@ -98,11 +98,8 @@ pub fn optimise(
     // No start keeps the condition number: the certificates are made anew without it.
     search.config.condition_limit = f64::INFINITY;
     let again = |excitation: Excitation| search.certified(excitation);
-    let results: Vec<_> = results
-        .into_iter()
-        .map(|result| result.and_then(again))
-        .collect();
-    search.best(&results)
+    let results = results.into_iter().map(|result| result.and_then(again));
+    search.best(&results.collect::<Vec<_>>())
 }
 
 /// One robot and one task, ready for any number of starts.
@@ -281,12 +278,12 @@ impl<'a> Search<'a> {
         }
         let missed = missed.iter().filter_map(|(_, missed)| missed.violation());
         let nearest = missed.min_by(|a, b| a.0.total_cmp(&b.0));
-        let nearest = nearest.map(|(_, refusal)| refusal);
-        let last = results
-            .iter()
-            .rev()
-            .find_map(|result| result.as_ref().err());
-        Err(nearest.or_else(|| last.cloned()).unwrap_or_else(unseen))
+        if let Some((_, refusal)) = nearest {
+            return Err(refusal);
+        }
+        let mut errors = results.iter().rev();
+        let last = errors.find_map(|result| result.as_ref().err());
+        Err(last.cloned().unwrap_or_else(unseen))
     }
 }
 
@@ -352,12 +349,10 @@ impl Search<'_> {
                 joint.name, joint.friction.coulomb, joint.limits.torque
             )
         });
-        match weak.collect::<Vec<_>>() {
-            weak if weak.is_empty() => Ok(()),
-            weak => {
-                let weak = weak.join("; ");
-                Err(refused(format!("{weak}: correct it with --torque-limits")))
-            }
+        let weak = weak.collect::<Vec<_>>().join("; ");
+        match weak.is_empty() {
+            true => Ok(()),
+            false => Err(refused(format!("{weak}: correct it with --torque-limits"))),
         }
     }
 
