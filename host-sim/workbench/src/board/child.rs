@@ -59,10 +59,8 @@ impl Guarded {
         let mut child = spawn(command)?;
         drop(kept);
         let lines = Arc::new(Mutex::new(VecDeque::new()));
-        let reader = child
-            .stderr
-            .take()
-            .map(|stderr| listen(stderr, Arc::clone(&lines)));
+        let stderr = child.stderr.take();
+        let reader = stderr.map(|stderr| listen(stderr, Arc::clone(&lines)));
         let affinity = core.map(stay_on).transpose()?;
         Ok(Self {
             child,

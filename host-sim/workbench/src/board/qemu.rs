@@ -160,10 +160,8 @@ impl Emulator {
     fn broken(&mut self, error: nix::Error) -> io::Error {
         match self.process.ended(EXIT_WAIT) {
             Ok(Some(status)) => {
-                let last = self
-                    .process
-                    .last_words()
-                    .unwrap_or_else(|| "without a message".into());
+                let last = self.process.last_words();
+                let last = last.unwrap_or_else(|| "without a message".into());
                 io::Error::other(format!("the emulator died: {status}; {last}"))
             }
             _ => link(error),

@@ -222,10 +222,8 @@ impl FromStr for BusChoice {
             Some((kind, names)) => (kind, names.split(',').map(str::to_owned).collect()),
             None => (text, Vec::new()),
         };
-        let kind = KINDS
-            .into_iter()
-            .find(|known| *known == kind)
-            .ok_or(WRONG)?;
+        let known = KINDS.into_iter().find(|known| *known == kind);
+        let kind = known.ok_or(WRONG)?;
         let counts = if kind == "sim" { 0..=0 } else { 1..=2 };
         match counts.contains(&names.len()) && !names.iter().any(String::is_empty) {
             true => Ok(Self { kind, names }),

@@ -177,9 +177,9 @@ pub(super) fn certify(
     let experiment = &objective.experiment;
     // Every tenth point: sums over a smooth periodic function do not need more.
     let sparse: Vec<Motion> = states.iter().step_by(10).copied().collect();
-    let (condition_dh, worth, errors) = experiment
-        .figures(&objective.rows, &sparse)
-        .ok_or_else(unseen)?;
+    let figures = experiment.figures(&objective.rows, &sparse);
+    let (condition_dh, worth, errors) = figures.ok_or_else(unseen)?;
+    let of_limits = errors.iter().zip(&robot.joints);
     let condition_board = condition_number(&board, &sparse);
     let has_dh = robot.joints.iter().all(|joint| joint.dh_frame.is_some());
     let frames = if has_dh {
@@ -205,9 +205,7 @@ pub(super) fn certify(
         condition_number_board: condition_board,
         condition_number_note: CONDITION_NOTE,
         predicted_nrmse_percent: 100.0 * worth.ln_error.exp(),
-        predicted_error_of_limit: errors
-            .iter()
-            .zip(&robot.joints)
+        predicted_error_of_limit: of_limits
             .map(|(error, joint)| error / joint.limits.torque)
             .collect(),
         predicted_error_nm: errors,
@@ -347,14 +345,11 @@ fn clearance_limits(
             worst[index] = worst[index].min(distance - between);
         }
     }
-    worst
-        .into_iter()
-        .enumerate()
-        .map(|(index, worst)| {
-            let value = (worst, clearances.required);
-            LimitCheck::at_least("clearance", &clearances.name(index), "m", value)
-        })
-        .collect()
+    let check = |(index, worst): (usize, f64)| {
+        let value = (worst, clearances.required);
+        LimitCheck::at_least("clearance", &clearances.name(index), "m", value)
+    };
+    worst.into_iter().enumerate().map(check).collect()
 }
 
 #[cfg(test)]

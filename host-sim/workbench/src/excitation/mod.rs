@@ -127,11 +127,8 @@ impl Excitation {
         periods: u16,
         tracking_rad: f32,
     ) -> Result<ExcitationProgram<N>, Refusal> {
-        let joints: &[JointSeries; N] = self
-            .joints
-            .as_slice()
-            .try_into()
-            .map_err(|_| other_joints(self.joints.len(), N))?;
+        let joints: Result<&[JointSeries; N], _> = self.joints.as_slice().try_into();
+        let joints = joints.map_err(|_| other_joints(self.joints.len(), N))?;
         let period_us = (self.period_s * 1e6).round();
         if !(1.0..=f64::from(u32::MAX)).contains(&period_us) {
             return Err(refused(format!("period of {} s", self.period_s)));
@@ -266,16 +263,13 @@ mod tests {
             for k in 0..20_011 {
                 let state = excitation.at::<6>(10.0 * f64::from(k) / 20_011.0);
                 for (j, joint) in robot.joints.iter().enumerate() {
-                    assert!(state.q[j].abs() <= PI, "seed {seed}, joint {j}");
-                    let limits = &joint.limits;
-                    assert!(
-                        state.qd[j].abs() <= limits.velocity,
-                        "seed {seed}, joint {j}"
-                    );
-                    assert!(
-                        state.qdd[j].abs() <= limits.acceleration,
-                        "seed {seed}, joint {j}"
-                    );
+                    let values = [state.q[j], state.qd[j], state.qdd[j]].map(f64::abs);
+                    let limits = [PI, joint.limits.velocity, joint.limits.acceleration];
+                    let kept = values
+                        .iter()
+                        .zip(limits)
+                        .all(|(value, limit)| *value <= limit);
+                    assert!(kept, "seed {seed}, joint {j}");
                 }
             }
         }

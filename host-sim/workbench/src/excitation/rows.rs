@@ -294,11 +294,8 @@ mod tests {
     fn board_frames_choose_the_columns_of_the_board() {
         let robot = Robot::load("ur5").expect("built in");
         let rows = Rows::new(&robot, Frames::Board);
-        let chosen: Vec<usize> = rows
-            .link_columns
-            .iter()
-            .map(|(link, parameter)| link * LINK_PARAMETERS + parameter)
-            .collect();
+        let column = |(link, parameter): &(usize, usize)| link * LINK_PARAMETERS + parameter;
+        let chosen: Vec<usize> = rows.link_columns.iter().map(column).collect();
         assert_eq!(chosen, robot.base_map().columns[..36]);
     }
 }

@@ -89,10 +89,8 @@ impl Study<'_> {
     ) -> Result<Trace, IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
         // The linear part of networks competes with them, and takes their place where it is better on unseen rows.
-        let fallback = self
-            .results
-            .iter()
-            .position(|result| result.linear.is_some());
+        let has_linear = |result: &MethodResult| result.linear.is_some();
+        let fallback = self.results.iter().position(has_linear);
         let fallback = fallback.filter(|_| kind == Unseen::Validation);
         let linear = fallback.and_then(|place| self.results[place].linear.clone());
         let linear = linear.map(|fit| (Candidate::Linear(fit.theta.clone()), fit));

@@ -46,10 +46,8 @@ fn predictions(
     let networks: Option<Vec<PerJoint<f64>>> =
         states.map(|state| candidate.network(state)).collect();
     let mut table = networks.map_or(vec![0.0; prepared.tau.len()], |networks| {
-        let mut table: Vec<f64> = networks
-            .iter()
-            .flat_map(|own| own.iter().copied())
-            .collect();
+        let torques = networks.iter().flat_map(|own| own.iter().copied());
+        let mut table: Vec<f64> = torques.collect();
         preparation.smooth_torque(&mut table, joints);
         table
     });
@@ -236,10 +234,8 @@ pub(super) fn split(
         add(results, sample);
     }
     let joints = layout.joints();
-    Ok(sums
-        .iter()
-        .map(|sums| SplitRecord::of(joints, sums))
-        .collect())
+    let records = sums.iter().map(|sums| SplitRecord::of(joints, sums));
+    Ok(records.collect())
 }
 
 /// Errors on rows of an unseen log of every method trained on growing shares of the log.

@@ -164,10 +164,8 @@ impl McapTable {
             .map_err(failed)?;
         let mut topics: BTreeMap<&str, Vec<(usize, String)>> = BTreeMap::new();
         for (place, name) in header.iter().enumerate().filter(|(_, name)| *name != "t_s") {
-            topics
-                .entry(topic_of(name))
-                .or_default()
-                .push((place, name.clone()));
+            let columns = topics.entry(topic_of(name)).or_default();
+            columns.push((place, name.clone()));
         }
         let mut channels = Vec::new();
         for (topic, columns) in topics {
@@ -178,17 +176,11 @@ impl McapTable {
                 "{{\"type\":\"object\",\"properties\":{{{}}}}}",
                 properties.join(",")
             );
-            let schema = writer
-                .add_schema(
-                    &format!("foretorque{}", topic.replace('/', ".")),
-                    "jsonschema",
-                    schema.as_bytes(),
-                )
-                .map_err(failed)?;
-            let channel = writer
-                .add_channel(schema, topic, "json", &BTreeMap::new())
-                .map_err(failed)?;
-            channels.push((channel, columns));
+            let name = format!("foretorque{}", topic.replace('/', "."));
+            let schema = writer.add_schema(&name, "jsonschema", schema.as_bytes());
+            let schema = schema.map_err(failed)?;
+            let channel = writer.add_channel(schema, topic, "json", &BTreeMap::new());
+            channels.push((channel.map_err(failed)?, columns));
         }
         Ok(Self {
             writer,
@@ -200,20 +192,16 @@ impl McapTable {
 
     /// Adds a row of numbers as they stand in the CSV.
     fn row(&mut self, values: &[String]) -> io::Result<()> {
-        let t_s: f64 = self
-            .time
-            .and_then(|place| values.get(place)?.parse().ok())
-            .unwrap_or(f64::from(self.rows));
+        let t_s = self.time.and_then(|place| values.get(place)?.parse().ok());
+        let t_s: f64 = t_s.unwrap_or(f64::from(self.rows));
         let log_time = (t_s * 1e9).round() as u64;
         for (channel, columns) in &self.channels {
             let pairs = columns.iter().filter_map(|(place, name)| {
                 let value = values.get(*place)?;
                 // JSON has no infinities.
                 let finite = value.parse::<f64>().is_ok_and(f64::is_finite);
-                Some(format!(
-                    "\"{name}\":{}",
-                    if finite { value } else { "null" }
-                ))
+                let value = if finite { value } else { "null" };
+                Some(format!("\"{name}\":{value}"))
             });
             let message = format!("{{{}}}", pairs.collect::<Vec<_>>().join(","));
             let header = MessageHeader {

@@ -168,10 +168,8 @@ fn arming_that_fails_switches_every_drive_off_again() {
                 // The watchdog of a drive that no command reaches ends its torque.
                 let reached = (0..6).filter(|joint| fault != LineFault::LostCommands(*joint, 1.0));
                 let mut states = reached.map(|joint| player.network.drives[joint].state());
-                assert!(
-                    states.all(|state| state != DriveState::Enabled),
-                    "{fault:?} from {from_s} s"
-                );
+                let off = states.all(|state| state != DriveState::Enabled);
+                assert!(off, "{fault:?} from {from_s} s");
                 failed += 1;
             }
         }
@@ -196,15 +194,11 @@ impl Witness {
         for j in 0..6 {
             // Carried rounding adds up to a step to the half of one.
             let near = |torque: f64| (torque - seen[j]).abs() <= 1.01 * self.step[j];
-            let known = self
-                .released
-                .iter()
-                .rev()
-                .take(60)
-                .any(|released| near(released[j]));
-            if !(known || near(0.0)) {
-                self.wrong
-                    .push(format!("{t_s:.3} s: joint {} has {} N·m", j + 1, seen[j]));
+            let mut recent = self.released.iter().rev().take(60);
+            if !(recent.any(|released| near(released[j])) || near(0.0)) {
+                let (joint, torque) = (j + 1, seen[j]);
+                let wrong = format!("{t_s:.3} s: joint {joint} has {torque} N·m");
+                self.wrong.push(wrong);
             }
         }
         self.released.push(tick.torque.total.cast());
@@ -242,10 +236,8 @@ fn campaign(
         let mut wrong = |what| witness.wrong.push(format!("{t_s:.3} s: {what}"));
         if result.status.state == SafetyState::Armed {
             let torque: Joints<6> = result.torque.total.cast();
-            if right
-                .get(tick as usize)
-                .is_some_and(|right| *right != torque)
-            {
+            let right = right.get(tick as usize);
+            if right.is_some_and(|right| *right != torque) {
                 wrong(format!("released {torque}"));
             }
             if ended_s.is_some() {
@@ -318,10 +310,10 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
             let (end, witness, player) = campaign(Some((fault, for_s)), right);
             let wrong = witness.wrong;
             let count = wrong.len();
+            let first = wrong.first();
             assert!(
-                wrong.is_empty(),
-                "{fault:?}: {count} wrong torques, {}",
-                wrong[0]
+                first.is_none(),
+                "{fault:?}: {count} wrong torques, {first:?}"
             );
             println!("{fault:?} for {for_s} s: {end:?}");
             if message.is_empty() {
@@ -335,10 +327,8 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
                 error.starts_with(&expected),
                 "{fault:?}: {error}, expected {expected}"
             );
-            assert!(
-                !matches!(player.controller.drives().phase(), BusPhase::Running(_)),
-                "{fault:?}"
-            );
+            let phase = player.controller.drives().phase();
+            assert!(!matches!(phase, BusPhase::Running(_)), "{fault:?}");
         }
     }
 }

@@ -247,10 +247,8 @@ impl FrameBoard for Emulated {
         for (port, frame) in frames {
             let port = usize::from(*port);
             let line = write_line(frame, Direction::Receive);
-            self.ports[port]
-                .stream
-                .write_all(&line)
-                .expect("it listens");
+            let stream = &mut self.ports[port].stream;
+            stream.write_all(&line).expect("it listens");
             let mut acknowledged = 0;
             while acknowledged == 0 {
                 acknowledged += self.take_from(port, true);
@@ -339,12 +337,8 @@ fn ride(board: impl FrameBoard + 'static, rate_hz: f64, duration_s: f64, forward
         let reply = client
             .sample(&sample(t_s + profile.lead_s()))
             .expect("a torque");
-        assert_eq!(
-            reply.safety.state,
-            SafetyState::Armed,
-            "{t_s} s: {}",
-            reply.safety
-        );
+        let safety = reply.safety;
+        assert_eq!(safety.state, SafetyState::Armed, "{t_s} s: {safety}");
         torques.push(reply.total);
         if t_s > duration_s - JUDGED_S {
             // The plant is where the command of the tick before has brought it.
@@ -401,10 +395,7 @@ fn the_emulated_master_sends_the_bits_of_its_twin() {
         expected_sent.len()
     );
     assert!(frames > JOINTS * seen.torques.len());
-    let largest = seen
-        .torques
-        .iter()
-        .map(|torque| torque.amax())
-        .fold(0.0, f32::max);
+    let sizes = seen.torques.iter().map(|torque| torque.amax());
+    let largest = sizes.fold(0.0, f32::max);
     assert!(largest > 10.0, "{largest} N·m");
 }
