@@ -58,10 +58,8 @@ impl Overheard {
             return recorder.take(&frames);
         }
         self.first.extend(frames);
-        let changes = self
-            .first
-            .windows(2)
-            .filter(|two| two[0].tick != two[1].tick);
+        let pairs = self.first.windows(2);
+        let changes = pairs.filter(|two| two[0].tick != two[1].tick);
         if changes.count() > FIRST_RECORDS {
             self.begin()?;
         }

@@ -1,12 +1,11 @@
 //! Work on all cores whose result does not depend on how many there are.
 
+use nix::sched::{CpuSet, sched_getaffinity, sched_setaffinity};
+use nix::unistd::Pid;
 use std::io;
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{OnceLock, mpsc};
-
-use nix::sched::{CpuSet, sched_getaffinity, sched_setaffinity};
-use nix::unistd::Pid;
 
 /// The calling thread, for the kernel.
 const THIS_THREAD: Pid = Pid::from_raw(0);

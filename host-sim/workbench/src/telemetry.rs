@@ -65,11 +65,9 @@ impl FromStr for Selection {
     /// `state,total/10`: fields, and every how many ticks; `all/20`: all fields.
     fn from_str(text: &str) -> Result<Self, String> {
         let (list, every) = text.split_once('/').unwrap_or((text, "1"));
-        let every = every
-            .parse()
-            .ok()
-            .filter(|every| *every > 0)
-            .ok_or_else(|| format!("'{every}' is no number of ticks from 1 to 65535"))?;
+        let ticks = every.parse().ok().filter(|ticks| *ticks > 0);
+        let wrong = || format!("'{every}' is no number of ticks from 1 to 65535");
+        let every = ticks.ok_or_else(wrong)?;
         let mut fields = 0;
         for name in list.split(',') {
             fields |= match FIELDS.iter().find(|(known, ..)| *known == name) {

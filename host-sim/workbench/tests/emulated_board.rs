@@ -1,7 +1,6 @@
 //! The firmware in the emulator, through its real links.
 
-use crate::talk::{Talk, credible, sample};
-use crate::trial::{PATIENCE, connected, native, scratch, started};
+use crate::trial::{PATIENCE, Talk, connected, credible, native, sample, scratch, started};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_f405::chip;
 use foretorque_link::wire::{Configuration, CounterKind, Pacing};
@@ -145,20 +144,17 @@ fn a_board_out_of_scope_leaves_no_process_and_the_bulk_firmware_ends_by_itself()
 }
 
 #[test]
-fn what_is_missing_is_named() {
-    let mut options = QemuOptions::new(Image::Joint);
-    options.elf = "/nowhere/joint".into();
-    let error = Emulator::start(&options).expect_err("there is no such firmware");
-    assert!(error.to_string().contains("no firmware at /nowhere/joint"));
-}
-
-#[test]
-fn a_file_that_is_no_firmware_is_reported() {
-    let mut options = QemuOptions::new(Image::Joint);
-    options.elf = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml").into();
-    let error = Emulator::start(&options).expect_err("it is no firmware");
-    let text = error.to_string();
-    assert!(text.contains("died") && text.contains("fatal"), "{text}");
+fn a_firmware_that_is_missing_or_none_is_reported() {
+    let none = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
+    for (elf, words) in [
+        ("/nowhere/joint", &["no firmware at /nowhere/joint"][..]),
+        (none, &["died", "fatal"]),
+    ] {
+        let mut options = QemuOptions::new(Image::Joint);
+        options.elf = elf.into();
+        let text = Emulator::start(&options).expect_err(elf).to_string();
+        assert!(words.iter().all(|word| text.contains(word)), "{text}");
+    }
 }
 
 #[test]

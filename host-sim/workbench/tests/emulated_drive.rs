@@ -5,14 +5,181 @@
 //! replaced, the one that moves a byte over the bus and the one that reads the level of the fault line; all the rest is what
 //! is flashed.
 
-use crate::driven::parts::{NEVER, drive};
-use crate::driven::{Stage, armed, equipped, start, written};
-use crate::trial::{connected, native, still};
+use crate::trial::{Trial, connected, native, patched, scratch, still};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::Flags;
 use foretorque_link::safety::{SafetyReason, SafetyState};
 use foretorque_link::wire::Field;
+use foretorque_workbench::board::log::Messages;
+use foretorque_workbench::board::qemu::{Image, QemuOptions};
+use std::fs;
+use std::path::Path;
+
+/// State of the drive in the trace.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Stage {
+    enabled: bool,
+    /// Gate of the timer: main output enable.
+    gate: bool,
+    /// Counts of the pulse width.
+    width: u16,
+    positive: bool,
+}
+
+impl Stage {
+    /// Last state of timer and pins in a trace.
+    fn of(trace: &str) -> Self {
+        let mut stage = Self::default();
+        for (device, offset, value) in trace.lines().filter_map(written) {
+            match (device, offset) {
+                ("GPIOB", 0x18) => {
+                    for (pin, state) in [(8, &mut stage.enabled), (9, &mut stage.positive)] {
+                        if value & 1 << pin != 0 {
+                            *state = true;
+                        } else if value & 1 << (pin + 16) != 0 {
+                            *state = false;
+                        }
+                    }
+                }
+                ("timer[1]", 0x34) => stage.width = value as u16,
+                ("timer[1]", 0x44) => stage.gate = value & 1 << 15 != 0,
+                _ => {}
+            }
+        }
+        stage
+    }
+}
+
+/// The firmware that drives its joint as it is flashed, or a patched copy of it.
+fn start(name: &str, patches: &[(&str, Vec<u16>)]) -> Trial {
+    let name = format!("drive-{name}");
+    let mut options = QemuOptions::new(Image::Joint);
+    options.elf.set_file_name("joint-drive");
+    if !patches.is_empty() {
+        options.elf = patched(&options.elf, &format!("joint-{name}"), patches);
+    }
+    options.log = Some(scratch(&format!("{name}.log")));
+    Trial::start(&name, options)
+}
+
+/// With drive and encoder, which stands at `angle` counts; they end after so many readings of the encoder.
+fn equipped(name: &str, angle: u16, encoder_ends: u16, drive_ends: u16) -> Trial {
+    let patches = [
+        ("3spi8exchange", encoder(angle, encoder_ends)),
+        ("4pins8pin_high", drive(drive_ends)),
+    ];
+    start(name, &patches)
+}
+
+fn armed(name: &str, encoder_ends: u16, drive_ends: u16) -> Trial {
+    let mut trial = equipped(name, 0, encoder_ends, drive_ends);
+    for _ in 0..5 {
+        trial.sample(&still());
+    }
+    trial.client.arm(&still()).expect("it can be armed");
+    for _ in 0..30 {
+        trial.sample(&still());
+    }
+    let stage = trial.stage();
+    let driven = stage.enabled && stage.gate && stage.width > 100;
+    assert!(driven, "{stage:?}");
+    trial
+}
+
+impl Trial {
+    fn stage(&self) -> Stage {
+        Stage::of(&self.trace())
+    }
+
+    fn is_off(&self) {
+        let stage = self.stage();
+        let off = !stage.enabled && !stage.gate && stage.width == 0;
+        assert!(off, "{stage:?}");
+    }
+
+    fn log(&self) -> String {
+        let read = |path: &Path| fs::read(path).expect("readable");
+        let messages = Messages::of(&read(&self.options.elf)).expect("it has messages");
+        let stream = read(self.options.log.as_deref().expect("it has a log"));
+        let lines = messages.lines(&stream);
+        lines.expect("no frame is lost").join("\n")
+    }
+}
+
+/// Device, offset and value of a write in the trace.
+fn written(line: &str) -> Option<(&str, u32, u32)> {
+    let (device, rest) = line.split_once(": unimplemented device write")?;
+    let hex = |key: &str| {
+        let (_, rest) = rest.split_once(key)?;
+        let digits = rest.split([',', ')']).next()?;
+        u32::from_str_radix(digits, 16).ok()
+    };
+    Some((device, hex("offset 0x")?, hex("value 0x")?))
+}
+
+/// Transfer number that is never reached.
+const NEVER: u16 = u16::MAX;
+/// Bytes that a reading of the encoder moves.
+const READING: u16 = 4;
+
+/// `movw r, value` (ARM DDI 0403, A7.7.76, encoding T3), or with `top` `movt` (A7.7.79).
+fn mov16(register: u16, value: u16, top: bool) -> [u16; 2] {
+    let (i, imm4) = ((value >> 11) & 1, value >> 12);
+    let first = if top { 0xF2C0 } else { 0xF240 } | i << 10 | imm4;
+    let second = ((value >> 8) & 7) << 12 | register << 8 | (value & 0xFF);
+    [first, second]
+}
+
+/// RAM that the chip has not, and the emulator has: zero at start. The bytes are counted there.
+const COUNTER: [[u16; 2]; 2] = [[0xF248, 0x0100], [0xF2C2, 0x0102]];
+
+/// An encoder at `angle` counts in the place of the bus: of four bytes two are the angle and two the diagnostics, as they
+/// are asked for in turn. After `readings` the line is low.
+fn encoder(angle: u16, readings: u16) -> Vec<u16> {
+    let even = |value: u16| value | ((value.count_ones() as u16 & 1) << 15);
+    // In the order in which they are sent: an angle that nobody has asked for, then diagnostics (ready), angle, …
+    let [angle, diagnostics] = [even(angle), even(1 << 8)].map(u16::swap_bytes);
+    let mut code = COUNTER.concat();
+    code.extend([
+        0x680A, // ldr r2, [r1]
+        0x1C53, // adds r3, r2, #1
+        0x600B, // str r3, [r1]
+    ]);
+    code.extend(mov16(0, angle, false));
+    code.extend(mov16(0, diagnostics, true));
+    code.extend([
+        0x00D3, // lsls r3, r2, #3
+        0x41D8, // rors r0, r3
+        0xB2C0, // uxtb r0, r0
+    ]);
+    if readings != NEVER {
+        let last = u8::try_from(readings * READING).expect("compared with a byte");
+        code.extend([
+            0x2A00 | u16::from(last), // cmp r2, #last
+            0xBF28,                   // it hs
+            0x2000,                   // movhs r0, #0
+        ]);
+    }
+    code.push(0x4770); // bx lr
+    code
+}
+
+/// A fault line that is high until the encoder has been read `readings` times.
+fn drive(readings: u16) -> Vec<u16> {
+    if readings == NEVER {
+        return vec![0x2001, 0x4770]; // movs r0, #1; bx lr
+    }
+    let mut code = COUNTER.concat();
+    code.push(0x680A); // ldr r2, [r1]
+    code.extend(mov16(3, readings * READING, false));
+    code.extend([
+        0x1AD0, // subs r0, r2, r3
+        0x0FC0, // lsrs r0, r0, #31
+        0x4770, // bx lr
+    ]);
+    code
+}
 
 /// Of `firmware/boards/f405/src/pyboard_drive/mod.rs`: the joint, and the torque of a full duty, N·m.
 const JOINT: usize = 1;

@@ -1,7 +1,6 @@
 //! Arming, time-out, stop, restart and watchdog of the flashable firmware in the emulator, as the pins and the line show it.
 
-use crate::talk::Talk;
-use crate::trial::{Trial, patched, scratch, sealed, started, still};
+use crate::trial::{Talk, Trial, patched, scratch, sealed, started, still};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::JointVector;
 use foretorque::limits::Flags;

@@ -2,7 +2,6 @@
 
 mod bus_commission;
 mod bus_loop;
-mod driven;
 mod emulated_board;
 mod emulated_bus;
 mod emulated_drive;
@@ -10,5 +9,4 @@ mod emulated_safety;
 mod native_board;
 #[path = "../../../tests/python.rs"]
 mod python;
-mod talk;
 mod trial;

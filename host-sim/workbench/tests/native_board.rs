@@ -1,7 +1,6 @@
 //! The client and the board in this process, through real frames.
 
-use crate::talk::credible as sample;
-use crate::trial::{connected, native};
+use crate::trial::{connected, credible as sample, native};
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::FrictionColumn;

@@ -1,5 +1,11 @@
 //! An emulator process that cannot be left behind.
 
+use crate::parallel::{only, stay_on};
+use nix::fcntl::{FcntlArg, FdFlag, fcntl};
+use nix::sched::{CpuSet, sched_setaffinity};
+use nix::sys::prctl;
+use nix::sys::signal::Signal;
+use nix::unistd::Pid;
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader};
 use std::os::fd::{AsRawFd, OwnedFd, RawFd};
@@ -8,14 +14,6 @@ use std::process::{Child, ChildStderr, Command, ExitStatus};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
-
-use nix::fcntl::{FcntlArg, FdFlag, fcntl};
-use nix::sched::{CpuSet, sched_setaffinity};
-use nix::sys::prctl;
-use nix::sys::signal::Signal;
-use nix::unistd::Pid;
-
-use crate::parallel::{only, stay_on};
 
 /// Lines of the emulator's stderr that are kept.
 const KEPT_LINES: usize = 60;
@@ -61,10 +59,8 @@ impl Guarded {
         let mut child = spawn(command)?;
         drop(kept);
         let lines = Arc::new(Mutex::new(VecDeque::new()));
-        let reader = child
-            .stderr
-            .take()
-            .map(|stderr| listen(stderr, Arc::clone(&lines)));
+        let stderr = child.stderr.take();
+        let reader = stderr.map(|stderr| listen(stderr, Arc::clone(&lines)));
         let affinity = core.map(stay_on).transpose()?;
         Ok(Self {
             child,
@@ -74,7 +70,6 @@ impl Guarded {
         })
     }
 
-    /// Process id of the emulator.
     pub(crate) fn id(&self) -> u32 {
         self.child.id()
     }

@@ -13,7 +13,6 @@ use std::collections::BTreeMap;
 pub const WORD: usize = 4;
 /// Bytes at both ends of a sector that some ways of losing power treat unlike the rest.
 const EDGE: usize = 64;
-/// Sectors.
 const SECTORS: usize = 2;
 
 /// Effect of the step in which the power fails.

@@ -4,29 +4,13 @@
 //! symbols in the ELF, which are never loaded. On silicon the same stream comes over RTT, and `probe-rs` or
 //! `defmt-print` read it.
 
+use crate::Refusal;
 use defmt_parser::{DisplayHint, Fragment, Parameter, ParserMode, Type};
 use elf::ElfBytes;
 use elf::endian::LittleEndian;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-
-/// Why a log cannot be read.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LogError {
-    /// The file is no ELF, or has no table of messages.
-    #[error("the firmware has no table of log messages")]
-    NoMessages,
-    /// A frame that is none; its place in the stream, counted from 0.
-    #[error("frame {0} of the log is damaged")]
-    Frame(usize),
-    /// A frame with an index that no message has.
-    #[error("the log is of another firmware: no message {0}")]
-    UnknownMessage(u16),
-    /// A message whose values are cut short or of a kind that is not read here.
-    #[error("the log gives no values for \"{0}\"")]
-    Values(String),
-}
 
 /// The messages that a firmware may log.
 #[derive(Clone, Debug)]
@@ -43,12 +27,11 @@ struct Message {
 impl Messages {
     /// Those in an ELF.
     ///
-    /// Errors: [`LogError::NoMessages`].
-    pub fn of(elf: &[u8]) -> Result<Self, LogError> {
-        Self::read(elf)
-            .filter(|messages| !messages.is_empty())
-            .map(Self)
-            .ok_or(LogError::NoMessages)
+    /// Errors: the file is no ELF, or has no table of messages.
+    pub fn of(elf: &[u8]) -> Result<Self, Refusal> {
+        let found = Self::read(elf).filter(|messages| !messages.is_empty());
+        let none = || Refusal("the firmware has no table of log messages".to_owned());
+        found.map(Self).ok_or_else(none)
     }
 
     fn read(bytes: &[u8]) -> Option<BTreeMap<u16, Message>> {
@@ -65,24 +48,21 @@ impl Messages {
     /// The lines of a stream. What follows its last whole frame is still under way, and left out.
     ///
     /// Errors: the first frame that makes no sense.
-    pub fn lines(&self, stream: &[u8]) -> Result<Vec<String>, LogError> {
-        let whole = stream
-            .iter()
-            .rposition(|&byte| byte == 0)
-            .map_or(0, |end| end + 1);
-        let frames = stream[..whole].split(|&byte| byte == 0);
+    pub fn lines(&self, stream: &[u8]) -> Result<Vec<String>, Refusal> {
+        let end = stream.iter().rposition(|&byte| byte == 0).unwrap_or(0);
+        let frames = stream[..end].split(|&byte| byte == 0);
         // Two zeros in a row enclose nothing.
         let frames = frames.filter(|frame| !frame.is_empty());
         let line = |(place, frame): (usize, &[u8])| {
-            let bytes = rzcobs::decode(frame).map_err(|_| LogError::Frame(place))?;
+            let bytes = rzcobs::decode(frame).map_err(|_| damaged(place))?;
             self.line(place, &bytes)
         };
         frames.enumerate().map(line).collect()
     }
 
-    fn line(&self, place: usize, frame: &[u8]) -> Result<String, LogError> {
+    fn line(&self, place: usize, frame: &[u8]) -> Result<String, Refusal> {
         let mut values = Values(frame);
-        let index = values.number(2).ok_or(LogError::Frame(place))? as u16;
+        let index = values.number(2).ok_or_else(|| damaged(place))? as u16;
         let message = self.message(index)?;
         let level = message.tag.strip_prefix("defmt_").unwrap_or(&message.tag);
         let mut line = format!("{level}: ");
@@ -90,13 +70,18 @@ impl Messages {
         Ok(line)
     }
 
-    fn message(&self, index: u16) -> Result<&Message, LogError> {
-        self.0.get(&index).ok_or(LogError::UnknownMessage(index))
+    fn message(&self, index: u16) -> Result<&Message, Refusal> {
+        let unknown = || {
+            Refusal(format!(
+                "the log is of another firmware: no message {index}"
+            ))
+        };
+        self.0.get(&index).ok_or_else(unknown)
     }
 
     /// Appends `text` with its values in their places.
-    fn fill(&self, line: &mut String, text: &str, values: &mut Values<'_>) -> Result<(), LogError> {
-        let unreadable = || LogError::Values(text.to_owned());
+    fn fill(&self, line: &mut String, text: &str, values: &mut Values<'_>) -> Result<(), Refusal> {
+        let unreadable = || Refusal(format!("the log gives no values for \"{text}\""));
         let fragments =
             defmt_parser::parse(text, ParserMode::ForwardsCompatible).map_err(|_| unreadable())?;
         // Values come once each, in the order of their indices.
@@ -128,7 +113,7 @@ impl Messages {
         &self,
         parameter: &Parameter,
         values: &mut Values<'_>,
-    ) -> Result<Option<String>, LogError> {
+    ) -> Result<Option<String>, Refusal> {
         let width = match parameter.ty {
             Type::Format => return self.nested(values),
             Type::Str => return Ok(values.text()),
@@ -150,25 +135,27 @@ impl Messages {
     }
 
     /// A value that brings its own message: of an enum the variants, with a bar between them.
-    fn nested(&self, values: &mut Values<'_>) -> Result<Option<String>, LogError> {
+    fn nested(&self, values: &mut Values<'_>) -> Result<Option<String>, Refusal> {
         let Some(index) = values.number(2) else {
             return Ok(None);
         };
-        let text = &self.message(index as u16)?.text;
-        let variants: Vec<&str> = text.split('|').collect();
-        let chosen = if variants.len() > 1 {
-            let place = values.number(1);
-            place.and_then(|place| variants.get(place as usize))
-        } else {
-            variants.first()
+        let variants: Vec<&str> = self.message(index as u16)?.text.split('|').collect();
+        let place = match variants.len() {
+            1 => Some(0),
+            _ => values.number(1),
         };
-        let Some(variant) = chosen else {
+        let Some(variant) = place.and_then(|place| variants.get(place as usize)) else {
             return Ok(None);
         };
         let mut written = String::new();
         self.fill(&mut written, variant, values)?;
         Ok(Some(written))
     }
+}
+
+/// The refusal of a frame that is none; its place in the stream, counted from 0.
+fn damaged(place: usize) -> Refusal {
+    Refusal(format!("frame {place} of the log is damaged"))
 }
 
 /// The values of a frame that are still to be read.
@@ -230,11 +217,8 @@ mod tests {
         let line = "info: boot Bare(7) at 0xff, oktrue";
         assert_eq!(messages().lines(&stream(&boot)), Ok(vec![line.to_owned()]));
         let twice = [stream(&boot), stream(&boot), vec![1, 2]].concat();
-        assert_eq!(
-            messages().lines(&twice).map(|lines| lines.len()),
-            Ok(2),
-            "the third is under way"
-        );
+        let count = messages().lines(&twice).map(|lines| lines.len());
+        assert_eq!(count, Ok(2), "the third is under way");
         let pair = [3, 0, 5, 0];
         let line = "derived: Pair { first: 5, again: 5 }";
         assert_eq!(messages().lines(&stream(&pair)), Ok(vec![line.to_owned()]));
@@ -242,12 +226,16 @@ mod tests {
 
     #[test]
     fn what_is_no_log_of_the_firmware_is_refused() {
-        let unknown = messages().lines(&stream(&[9, 0]));
-        assert_eq!(unknown, Err(LogError::UnknownMessage(9)));
+        let unknown = messages().lines(&stream(&[9, 0])).expect_err("no message");
+        assert!(unknown.0.ends_with("no message 9"), "{unknown}");
         for short in [&[1, 0][..], &[1, 0, 2], &[1, 0, 2, 0, 5, 1], &[3, 0, 5]] {
-            let error = messages().line(0, short);
-            assert!(matches!(error, Err(LogError::Values(_))), "{short:?}");
+            let error = messages().line(0, short).expect_err("too short");
+            assert!(
+                error.0.starts_with("the log gives no values for"),
+                "{error}"
+            );
         }
-        assert_eq!(Messages::of(b"text").err(), Some(LogError::NoMessages));
+        let error = Messages::of(b"text").expect_err("no ELF");
+        assert!(error.0.contains("no table of log messages"), "{error}");
     }
 }

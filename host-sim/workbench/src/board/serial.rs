@@ -1,11 +1,9 @@
 //! A real board on a serial port.
 
+use super::Transport;
+use serialport::{ErrorKind, SerialPort};
 use std::io::{self, Read, Write};
 use std::time::Duration;
-
-use serialport::{ErrorKind, SerialPort};
-
-use super::Transport;
 
 /// Bit rate of the link, as the firmware sets it.
 pub use foretorque_f405::chip::LINK_BAUD as BAUD;

@@ -168,13 +168,13 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             let config = self.player.controller.config().joints[joint];
             let (id, bus) = (config.drive.id, config.bus);
             if counters.replies == 0 {
-                let answering = self.scan(joint)?;
-                let list = answering
-                    .iter()
-                    .map(|(bus, id)| format!("{id} on bus {bus}"));
-                let list = match answering.is_empty() {
-                    true => "none".to_owned(),
-                    false => list.collect::<Vec<_>>().join(", "),
+                let answering = self.scan(joint)?.into_iter();
+                let list: Vec<String> = answering
+                    .map(|(bus, id)| format!("{id} on bus {bus}"))
+                    .collect();
+                let list = match list[..] {
+                    [] => "none".to_owned(),
+                    _ => list.join(", "),
                 };
                 let problem =
                     format!("no drive answers at id {id} on bus {bus}; ids that answer: {list}");
@@ -184,11 +184,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 format!("two drives answer at id {id}")
             })?;
         }
-        self.player
-            .controller
-            .drives()
-            .ready()
-            .map_err(BusError::Fault)
+        let ready = self.player.controller.drives().ready();
+        ready.map_err(BusError::Fault)
     }
 
     /// Identifiers of the drives of a joint's kind that answer, with their buses.
@@ -226,15 +223,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
 
     fn turn(&mut self, joint: usize) -> Result<(), BusError> {
         let before = self.listen()?;
-        self.player.network.ask(&Ask::Turn {
-            joint,
-            by_rad: TURN_RAD,
-        })?;
+        let turn = |by_rad| Ask::Turn { joint, by_rad };
+        self.player.network.ask(&turn(TURN_RAD))?;
         let change = self.listen()? - before;
-        self.player.network.ask(&Ask::Turn {
-            joint,
-            by_rad: -TURN_RAD,
-        })?;
+        self.player.network.ask(&turn(-TURN_RAD))?;
         let ratio = change[joint] / TURN_RAD;
         let moved = (0..N).max_by(|a, b| change[*a].abs().total_cmp(&change[*b].abs()));
         let moved = moved.unwrap_or(joint);

@@ -206,10 +206,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
 
     /// Last known positions, rad.
     pub fn positions(&self) -> JointVector<N> {
-        self.controller
-            .drives()
-            .positions()
-            .unwrap_or_else(JointVector::zeros)
+        let known = self.controller.drives().positions();
+        known.unwrap_or_else(JointVector::zeros)
     }
 
     /// A period in which the arm is to stay where it is.

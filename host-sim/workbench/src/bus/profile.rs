@@ -89,14 +89,11 @@ impl Profile {
         let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
         let within = format!("rate_hz {rate} is not within {least} and {most}");
         check(RATES_HZ.contains(&rate), within)?;
-        check(
-            (1..=2).contains(&buses),
-            format!("{buses} buses, not 1 or 2"),
-        )?;
+        let problem = format!("{buses} buses, not 1 or 2");
+        check((1..=2).contains(&buses), problem)?;
         for (place, BitRates { nominal, data }) in profile.bus.iter().enumerate() {
-            let sound = [nominal, data]
-                .into_iter()
-                .all(|rate| (1e4..=1e7).contains(rate));
+            let mut rates = [nominal, data].into_iter();
+            let sound = rates.all(|rate| (1e4..=1e7).contains(rate));
             let within = "are not within 1e4 and 1e7";
             let problem = format!("bus {place}: bit_s {nominal} and data_bit_s {data} {within}");
             check(sound, problem)?;
@@ -115,16 +112,13 @@ impl Profile {
     pub fn config<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> Result<BusConfig<N>, BusError> {
-        let joints: Vec<BusJoint> = self
-            .joint
-            .iter()
-            .map(|entry| BusJoint {
-                drive: entry.drive,
-                bus: entry.bus,
-                kp: entry.kp,
-                kd: entry.kd,
-            })
-            .collect();
+        let joint = |entry: &JointEntry| BusJoint {
+            drive: entry.drive,
+            bus: entry.bus,
+            kp: entry.kp,
+            kd: entry.kd,
+        };
+        let joints: Vec<BusJoint> = self.joint.iter().map(joint).collect();
         let count = joints.len();
         let refused = |problem| refused(&self.file, problem);
         let joints = joints.try_into().map_err(|_| {
@@ -144,9 +138,8 @@ impl Profile {
             period_s: (1.0 / self.rate_hz) as f32,
             joints,
         };
-        config
-            .check::<A, P>()
-            .map_err(|error| refused(error.to_string()))?;
+        let checked = config.check::<A, P>();
+        checked.map_err(|error| refused(error.to_string()))?;
         for bus in 0..self.bus.len() {
             let busy_s = self.busy_s(bus);
             if busy_s * self.rate_hz > 1.0 {
@@ -170,26 +163,20 @@ impl Profile {
         wires: Wires,
     ) -> Result<Wiring<N>, BusError> {
         let bit_s = self.bus.first().copied().unwrap_or_default().nominal as u32;
+        let joints = self.config::<A, N, P>()?.joints.into_iter();
         Ok(Wiring {
             role,
             wires,
             bit_s,
-            joints: self
-                .config::<A, N, P>()?
-                .joints
-                .into_iter()
-                .map(Some)
-                .collect(),
+            joints: joints.map(Some).collect(),
         })
     }
 
     /// Time that the commands and replies of one tick take on a bus, s.
     pub fn busy_s(&self, bus: usize) -> f64 {
         let rates = self.bus[bus];
-        let joints = self
-            .joint
-            .iter()
-            .filter(|joint| usize::from(joint.bus) == bus);
+        let is_there = |joint: &&JointEntry| usize::from(joint.bus) == bus;
+        let joints = self.joint.iter().filter(is_there);
         joints.map(|joint| frames_s(&joint.drive, &rates)).sum()
     }
 

@@ -69,15 +69,12 @@ impl TextForm {
                     (_, true) => 'r',
                     _ => 't',
                 };
-                let kind = if frame.extended {
-                    kind.to_ascii_uppercase()
-                } else {
-                    kind
+                let (kind, width) = match frame.extended {
+                    true => (kind.to_ascii_uppercase(), 8),
+                    false => (kind, 3),
                 };
-                let width = if frame.extended { 8 } else { 3 };
-                let code = LENGTHS
-                    .iter()
-                    .position(|length| *length >= frame.bytes().len());
+                let length = frame.bytes().len();
+                let code = LENGTHS.iter().position(|known| *known >= length);
                 let code = code.unwrap_or(LENGTHS.len() - 1);
                 let _ = write!(line, "{kind}{:0width$X}{code:X}", frame.id);
                 hex(&mut line);
@@ -173,10 +170,8 @@ impl TextLine {
 
     /// The first whole line of what waits.
     fn next_line(&mut self) -> Option<String> {
-        let end = self
-            .waiting
-            .iter()
-            .position(|byte| matches!(byte, b'\r' | b'\n' | 7))?;
+        let is_end = |byte: &u8| matches!(byte, b'\r' | b'\n' | 7);
+        let end = self.waiting.iter().position(is_end)?;
         let line: Vec<u8> = self.waiting.drain(..=end).collect();
         Some(String::from_utf8_lossy(&line[..end]).into_owned())
     }
@@ -192,10 +187,7 @@ impl Line for TextLine {
     }
 
     fn receive(&mut self) -> io::Result<Option<Frame>> {
-        let count = self
-            .port
-            .bytes_to_read()
-            .map_err(|error| io::Error::other(error.to_string()))?;
+        let count = self.port.bytes_to_read()?;
         if count > 0 {
             let mut buffer = vec![0; count as usize];
             let count = self.port.read(&mut buffer)?;

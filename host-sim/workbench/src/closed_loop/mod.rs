@@ -94,7 +94,10 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         };
         Ok(Self {
             pd,
-            controller: PdState::new(desired.q),
+            controller: PdState {
+                previous_q: desired.q,
+                speed: Joints::zeros(),
+            },
             trajectory,
             period_s,
             tick: 0,
@@ -148,13 +151,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         let desired = self.desired;
         let measured = plant.measure();
         let reported = plant.report(&measured);
-        let feedback = step(
-            self.pd,
-            &mut self.controller,
-            &measured.q,
-            &desired.q,
-            &desired.qd,
-        );
+        let feedback = step(self.pd, &mut self.controller, &measured.q, &desired);
         let tau = feedback + self.answer.cast::<f64>();
         let next = self.trajectory.at((self.tick + 1) as f64 * self.period_s);
         let sample = reported.map(|reported| JointSample {
@@ -223,7 +220,7 @@ pub struct PdConfig<const N: usize> {
 
 /// State of the controller: the position before and the speed estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PdState<const N: usize> {
+struct PdState<const N: usize> {
     previous_q: Joints<N>,
     speed: Joints<N>,
 }
@@ -251,28 +248,17 @@ impl<const N: usize> PdConfig<N> {
     }
 }
 
-impl<const N: usize> PdState<N> {
-    /// At rest at `q`, rad.
-    pub fn new(q: Joints<N>) -> Self {
-        Self {
-            previous_q: q,
-            speed: Joints::zeros(),
-        }
-    }
-}
-
 /// Joint torques `Kp (q_d − q) + Kd (qd_d − qd)`, N × N·m, with `qd` from filtered differences of `q`.
-pub fn step<const N: usize>(
+fn step<const N: usize>(
     config: &PdConfig<N>,
     state: &mut PdState<N>,
     q: &Joints<N>,
-    desired_q: &Joints<N>,
-    desired_qd: &Joints<N>,
+    desired: &State<N>,
 ) -> Joints<N> {
     let difference = (q - state.previous_q) * config.inv_period;
     state.speed += (difference - state.speed) * config.speed_blend;
     state.previous_q = *q;
-    config.kp.component_mul(&(desired_q - q)) + config.kd.component_mul(&(desired_qd - state.speed))
+    config.kp.component_mul(&(desired.q - q)) + config.kd.component_mul(&(desired.qd - state.speed))
 }
 
 #[cfg(test)]

@@ -47,10 +47,8 @@ impl Clearances {
                     Pair::Table { link } => (0, link),
                     Pair::Links { inner, outer } => (inner + 1, outer),
                 };
-                let reach = capsules[link]
-                    .iter()
-                    .map(Capsule::reach)
-                    .fold(0.0, f64::max);
+                let reaches = capsules[link].iter().map(Capsule::reach);
+                let reach = reaches.fold(0.0, f64::max);
                 PerJoint::from_fn(joints, |i| {
                     if (first..=link).contains(&i) {
                         let arm = placements[i + 1..=link].iter();
@@ -72,7 +70,6 @@ impl Clearances {
         }
     }
 
-    /// Number of distances.
     pub(super) fn count(&self) -> usize {
         self.pairs.len()
     }

@@ -98,7 +98,7 @@ impl Experiment {
             weight: PerJoint::from_fn(joints, |j| (NOISE * robot.joints[j].limits.torque).powi(-2)),
             task,
             tasks: moments,
-            links: rows.link_count(),
+            links: rows.link_columns.len(),
         }
     }
 
@@ -193,7 +193,7 @@ impl Experiment {
     /// torque error of every joint on task motion, N·m; rows of joints at rest count as unusable.
     pub(super) fn figures(&self, rows: &Rows, states: &[Motion]) -> Option<(f64, Worth, Vec<f64>)> {
         let mut transposed = rows.transposed(states, SIGN_WIDTH_RAD_S);
-        let condition = condition(&transposed, rows.link_count());
+        let condition = condition(&transposed, rows.link_columns.len());
         for (k, state) in states.iter().enumerate() {
             for (j, qd) in state.qd.iter().enumerate() {
                 if qd.abs() < MOVING_RAD_S {
@@ -222,7 +222,7 @@ fn task(robot: &Robot, seed: u64) -> Vec<Motion> {
 pub(super) fn condition_number(rows: &Rows, states: &[Motion]) -> f64 {
     condition(
         &rows.transposed(states, SIGN_WIDTH_RAD_S),
-        rows.link_count(),
+        rows.link_columns.len(),
     )
 }
 

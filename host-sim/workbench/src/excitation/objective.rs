@@ -3,8 +3,7 @@
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, Worth};
 use super::rows::Rows;
-use super::series::Extremes;
-use super::series::{Bases, VARIABLES};
+use super::series::{Bases, Extremes, VARIABLES};
 use crate::dynamics::{Motion, PerJoint};
 use argmin::core::{CostFunction, Error, Executor, Gradient};
 use argmin::solver::linesearch::MoreThuenteLineSearch;
@@ -97,7 +96,6 @@ pub(super) fn basis(bases: &Bases, period_s: f64) -> Vec<[[f64; 3]; VARIABLES]> 
 /// Weights and clearances of the penalties.
 #[derive(Clone, Debug)]
 pub(super) struct PenaltyWeights {
-    /// Weight of the penalties.
     pub(super) weight: f64,
     /// Required distance of each pair, m: the limit plus a margin for the time between the instants.
     pub(super) clearance: Vec<f64>,

@@ -1,7 +1,7 @@
 //! The excitation as a page: the paper's Fig. 3, and the certificate.
 
+use super::Excitation;
 use super::certificate::Certificate;
-use super::path::Excitation;
 use crate::dynamics::{Motion, PerJoint};
 use crate::report::page::{Legend, Page, Section};
 use crate::report::plot::{self, Curve, Panel, PlotColor, PlotError};

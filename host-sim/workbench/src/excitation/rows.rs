@@ -57,40 +57,27 @@ impl Rows {
             Frames::Dh => joint.dh_frame.unwrap_or_else(Placement::identity),
             Frames::Board => Placement::identity(),
         };
+        let links = joints * LINK_PARAMETERS;
+        let place = |column: usize| (column / LINK_PARAMETERS, column % LINK_PARAMETERS);
         let mut rows = Self {
             placements: robot.joints.iter().map(|joint| joint.placement).collect(),
             frames: robot.joints.iter().map(parameters).collect(),
             gravity: robot.gravity,
             coupling: robot.coupling.clone(),
-            link_columns: (0..joints * LINK_PARAMETERS)
-                .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
-                .collect(),
+            link_columns: (0..links).map(place).collect(),
             rotor_columns: (0..joints).collect(),
         };
         let rigid = (LINK_PARAMETERS + 1) * joints;
         let full = rows.stacked(&random_motions(joints, STATES));
         let (columns, _) = independent_columns(&full.columns(0, rigid).into_owned());
-        let links = joints * LINK_PARAMETERS;
-        rows.link_columns = columns
-            .iter()
-            .filter(|&&c| c < links)
-            .map(|c| (c / LINK_PARAMETERS, c % LINK_PARAMETERS))
-            .collect();
-        rows.rotor_columns = columns
-            .iter()
-            .filter_map(|c| c.checked_sub(links))
-            .collect();
+        let (of_links, of_rotors) = columns.into_iter().partition::<Vec<_>, _>(|c| *c < links);
+        rows.link_columns = of_links.into_iter().map(place).collect();
+        rows.rotor_columns = of_rotors.into_iter().map(|c| c - links).collect();
         rows
     }
 
-    /// Number of joints.
     pub(super) fn joints(&self) -> usize {
         self.placements.len()
-    }
-
-    /// Base columns of the links: 36 for the UR5.
-    pub(super) fn link_count(&self) -> usize {
-        self.link_columns.len()
     }
 
     /// All columns.
@@ -98,7 +85,6 @@ impl Rows {
         self.link_columns.len() + self.rotor_columns.len() + 2 * self.joints()
     }
 
-    /// Columns of link `link`.
     pub(super) fn columns_of(&self, link: usize) -> Range<usize> {
         let before = |link: usize| self.link_columns.partition_point(|column| column.0 < link);
         before(link)..before(link + 1)
@@ -228,7 +214,6 @@ impl Rows {
         transposed
     }
 
-    /// The rows of all `states`, stacked.
     pub(super) fn stacked(&self, states: &[Motion]) -> DMatrix<f64> {
         self.transposed(states, 1.0).transpose()
     }
@@ -281,7 +266,10 @@ mod tests {
         ] {
             let model = RigidBodies::new(robot);
             let rows = Rows::new(robot, frames);
-            assert_eq!((rows.link_count(), rows.count()), (36, 36 + rotors + 12));
+            assert_eq!(
+                (rows.link_columns.len(), rows.count()),
+                (36, 36 + rotors + 12)
+            );
             let parameters = rows.parameters(robot).expect("solves");
             let mut block = vec![0.0; 6 * rows.count()];
             for mut state in random_motions(6, 60).into_iter().skip(STATES) {
@@ -306,11 +294,8 @@ mod tests {
     fn board_frames_choose_the_columns_of_the_board() {
         let robot = Robot::load("ur5").expect("built in");
         let rows = Rows::new(&robot, Frames::Board);
-        let chosen: Vec<usize> = rows
-            .link_columns
-            .iter()
-            .map(|(link, parameter)| link * LINK_PARAMETERS + parameter)
-            .collect();
+        let column = |(link, parameter): &(usize, usize)| link * LINK_PARAMETERS + parameter;
+        let chosen: Vec<usize> = rows.link_columns.iter().map(column).collect();
         assert_eq!(chosen, robot.base_map().columns[..36]);
     }
 }

@@ -1,24 +1,19 @@
 //! The search: seeded starts, a quasi-Newton method with growing penalty weights, a certificate for each result.
 
-mod speeds;
-
-use super::certificate::Certificate;
-use super::certify::certify;
+use super::certificate::{Certificate, certify};
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
 use super::objective::{INSTANTS, Objective, PenaltyWeights, SearchConfig, basis, descend};
-use super::path::Excitation;
 use super::rows::{Frames, Rows};
-use super::series::{Bases, VARIABLES};
-use super::series::{Extremes, JointSeries};
-use super::{refused, unseen};
+use super::series::{Bases, Extremes, JointSeries, VARIABLES};
+use super::{Excitation, refused, unseen};
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
+use crate::trajectory::via::TORQUE_SHARE;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use speeds::{TORQUE_SHARES, torques};
 use std::f64::consts::TAU;
 use std::num::NonZeroUsize;
 
@@ -103,11 +98,8 @@ pub fn optimise(
     // No start keeps the condition number: the certificates are made anew without it.
     search.config.condition_limit = f64::INFINITY;
     let again = |excitation: Excitation| search.certified(excitation);
-    let results: Vec<_> = results
-        .into_iter()
-        .map(|result| result.and_then(again))
-        .collect();
-    search.best(&results)
+    let results = results.into_iter().map(|result| result.and_then(again));
+    search.best(&results.collect::<Vec<_>>())
 }
 
 /// One robot and one task, ready for any number of starts.
@@ -286,12 +278,12 @@ impl<'a> Search<'a> {
         }
         let missed = missed.iter().filter_map(|(_, missed)| missed.violation());
         let nearest = missed.min_by(|a, b| a.0.total_cmp(&b.0));
-        let nearest = nearest.map(|(_, refusal)| refusal);
-        let last = results
-            .iter()
-            .rev()
-            .find_map(|result| result.as_ref().err());
-        Err(nearest.or_else(|| last.cloned()).unwrap_or_else(unseen))
+        if let Some((_, refusal)) = nearest {
+            return Err(refusal);
+        }
+        let mut errors = results.iter().rev();
+        let last = errors.find_map(|result| result.as_ref().err());
+        Err(last.cloned().unwrap_or_else(unseen))
     }
 }
 
@@ -305,5 +297,190 @@ fn tighten(torque: &mut [f64], certificate: &Certificate) {
     }
 }
 
+/// Random series by which feasible speeds are found, and instants of each.
+const TRIALS: usize = 256;
+const TRIAL_INSTANTS: usize = 50;
+/// Factor on the speed of a joint whose torque is too large, and steps before a joint counts as too weak: to 2 %.
+const SLOWER: f64 = 0.7;
+const SLOWDOWNS: usize = 12;
+/// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
+/// what bounds on the rates between points leave.
+const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
+
+impl Search<'_> {
+    /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
+    /// them. Gravity, friction and inertia are those of the description.
+    ///
+    /// Errors: a line that names the joints that need more however slow they are.
+    fn adapt_speed(&mut self) -> Result<(), Refusal> {
+        let full = self.objective.limits.clone();
+        for torque_share in TORQUE_SHARES {
+            self.objective.torque = torques(self.robot, torque_share);
+            self.objective.limits.clone_from(&full);
+            self.speed_share.fill(1.0);
+            for _ in 0..SLOWDOWNS {
+                let needed = self.least_torques();
+                let share = |j: usize| needed[j] / self.objective.torque[j];
+                if (0..full.len()).all(|j| share(j) <= 1.0) {
+                    return Ok(());
+                }
+                for (j, limits) in full.iter().enumerate() {
+                    // The joints before a weak one shake it, too: they slow down half as much.
+                    let beyond = (j + 1..full.len()).any(|k| share(k) > 1.0);
+                    let factor = match (share(j) > 1.0, beyond) {
+                        (true, _) => SLOWER,
+                        (false, true) => SLOWER.sqrt(),
+                        (false, false) => 1.0,
+                    };
+                    self.speed_share[j] *= factor;
+                    let speed = self.speed_share[j];
+                    self.objective.limits[j].qd = limits.qd * speed;
+                    self.objective.limits[j].qdd = limits.qdd * speed;
+                }
+            }
+        }
+        let needed = self.least_torques();
+        let joints = self.robot.joints.iter().zip(needed.iter());
+        let weak = joints.zip(self.objective.torque.iter());
+        let weak = weak.filter(|((_, needed), allowed)| needed > allowed);
+        let weak = weak.map(|((joint, needed), _)| {
+            format!(
+                "joint '{}' needs {needed:.3} N·m even where it hardly moves, of which {:.3} N·m are friction, its limit is {} N·m",
+                joint.name, joint.friction.coulomb, joint.limits.torque
+            )
+        });
+        let weak = weak.collect::<Vec<_>>().join("; ");
+        match weak.is_empty() {
+            true => Ok(()),
+            false => Err(refused(format!("{weak}: correct it with --torque-limits"))),
+        }
+    }
+
+    /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
+    fn least_torques(&self) -> PerJoint<f64> {
+        let width = self.objective.rows.count();
+        let joints = self.objective.rows.joints();
+        let mut block = vec![0.0; joints * width];
+        let mut best = (f64::INFINITY, PerJoint::repeat(joints, f64::INFINITY));
+        for trial in 0..TRIALS {
+            let (period_s, series) = (self.config.period_s, self.random_series(trial as u64));
+            let excitation = Excitation::of(self.robot, period_s, self.config.seed, series);
+            let mut most = PerJoint::repeat(joints, 0.0_f64);
+            for k in 0..TRIAL_INSTANTS {
+                let state = excitation.motion(period_s * k as f64 / TRIAL_INSTANTS as f64);
+                self.objective.rows.write(&state, SIGN_WIDTH, &mut block);
+                for (most, row) in most.iter_mut().zip(block.chunks_exact(width)) {
+                    let parameters = self.objective.parameters.iter();
+                    let tau: f64 = row.iter().zip(parameters).map(|(y, x)| y * x).sum();
+                    *most = most.max(tau.abs());
+                }
+            }
+            let shares = most.iter().zip(self.objective.torque.iter());
+            let share = shares.fold(0.0_f64, |worst, (tau, limit)| worst.max(tau / limit));
+            if share < best.0 {
+                best = (share, most);
+            }
+        }
+        best.1
+    }
+}
+
+/// Torque that friction leaves each joint of `share` of its limit, N·m; a tenth of the limit at least.
+fn torques(robot: &Robot, share: f64) -> PerJoint<f64> {
+    PerJoint::from_fn(robot.joint_count(), |j| {
+        let (friction, limit) = (&robot.joints[j].friction, robot.joints[j].limits.torque);
+        let beyond = friction.coulomb * friction.stribeck_ratio + friction.cogging;
+        (share * limit - beyond).max(0.1 * limit)
+    })
+}
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gradient_agrees_with_central_differences() {
+        let robot = Robot::load("ur5").expect("built in");
+        use Criterion::{Condition, Constrained, DOptimal, VOptimal};
+        for criterion in [Condition, DOptimal, VOptimal, Constrained] {
+            let config = SearchConfig {
+                criterion,
+                starts: 1,
+                ..SearchConfig::default()
+            };
+            let search = Search::new(&robot, &config).expect("a search");
+            let start = search.starts().remove(0);
+            // Beyond the limits, so that every penalty takes part.
+            let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
+            let penalties = search.penalties(10.0, 0.0);
+            let mut gradient = vec![0.0; start.len()];
+            search
+                .objective
+                .value(&start, &penalties, Some(&mut gradient));
+            let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+            for v in 0..start.len() {
+                let h = 1e-5;
+                let at = |step: f64| {
+                    let mut moved = start.clone();
+                    moved[v] += step;
+                    search.objective.value(&moved, &penalties, None)
+                };
+                let expected = (at(h) - at(-h)) / (2.0 * h);
+                assert!(
+                    (gradient[v] - expected).abs() < 1e-4 * size,
+                    "{criterion:?}, variable {v}: {} {expected}",
+                    gradient[v]
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn joints_slow_down_to_what_friction_leaves_and_a_weak_one_is_named() {
+        let config = SearchConfig::default();
+        let adapted = |robot: &Robot| {
+            let mut search = Search::new(robot, &config).expect("a search");
+            let found = search.adapt_speed();
+            (found, search.speed_share)
+        };
+        let mut robot = Robot::load("ur5").expect("built in");
+        assert_eq!(adapted(&robot), (Ok(()), vec![1.0; 6]));
+        // At the speed limit friction alone would take four times the torque limit.
+        let limits = robot.joints[2].limits;
+        robot.joints[2].friction.viscous = 4.0 * limits.torque / limits.velocity;
+        let (found, shares) = adapted(&robot);
+        assert_eq!(found, Ok(()));
+        assert!(
+            shares[2] < 1.0 && shares[2] > 0.1 && shares[5] == 1.0,
+            "{shares:?}"
+        );
+        // Gravity at the shoulder and at the elbow.
+        robot.joints[1].limits.torque = 1.0;
+        robot.joints[2].limits.torque = 0.5;
+        let message = adapted(&robot).0.expect_err("too weak").to_string();
+        assert!(
+            message.contains("its limit is 1 N·m; ")
+                && message.ends_with("its limit is 0.5 N·m: correct it with --torque-limits"),
+            "{message}"
+        );
+        for joint in &robot.joints[1..3] {
+            assert!(message.contains(&joint.name), "{message}");
+        }
+    }
+
+    #[test]
+    fn friction_of_half_a_torque_limit_leaves_a_path() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        // Friction that helps to brake: the certificate does not count on it.
+        robot.joints[5].friction.coulomb = 0.5 * robot.joints[5].limits.torque;
+        robot.joints[4].friction.coulomb = 0.5 * robot.joints[4].limits.torque;
+        let config = SearchConfig {
+            starts: 4,
+            iterations: 40,
+            condition_required: false,
+            ..SearchConfig::default()
+        };
+        let found = optimise(&robot, &config, None, |_, _| {}).expect("a path");
+        assert!(found.certificate.expect("certified").holds);
+    }
+}

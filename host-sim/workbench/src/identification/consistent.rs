@@ -13,10 +13,10 @@
 //! path-following Newton method minimises the whole. A conic solver from a library would need LAPACK for its semidefinite
 //! cones; 4 × 4 blocks need only the Cholesky factors of nalgebra.
 
+use super::columns::FrictionTerm::Board;
 use super::columns::Layout;
 use super::methods::Fit;
 use super::normal::solve;
-use super::terms::FrictionTerm::Board;
 use crate::dynamics::BaseMap;
 use crate::robot::{LINK_PARAMETERS, Link, Robot};
 use foretorque::dynamics::{FrictionColumn, SHEAR_WIDTH, STRIBECK_WIDTH};
@@ -80,20 +80,19 @@ pub(super) fn consistent(robot: &Robot, layout: &Layout, free: &Fit) -> Option<C
                 break;
             }
             let before = cost(&z) + weight * cone.divergence(&z)?;
-            let mut length = 1.0;
             // Short enough to stay inside the cone and to descend: convexity guarantees both.
-            while length > 1e-12 {
-                let next = &z + &step * length;
-                let after = cone.divergence(&next).map(|d| cost(&next) + weight * d);
-                if after.is_some_and(|after| after <= before - 0.1 * length * decrement) {
-                    z = next;
-                    break;
-                }
-                length *= 0.5;
-            }
-            if length <= 1e-12 {
+            let lengths = std::iter::successors(Some(1.0), |length| Some(0.5 * length));
+            let next = lengths
+                .take_while(|length| *length > 1e-12)
+                .find_map(|length| {
+                    let next = &z + &step * length;
+                    let after = cost(&next) + weight * cone.divergence(&next)?;
+                    (after <= before - 0.1 * length * decrement).then_some(next)
+                });
+            match next {
+                Some(next) => z = next,
                 // The decrease is below rounding.
-                break;
+                None => break,
             }
         }
         weight *= WEIGHT_STEP;
@@ -122,7 +121,7 @@ fn solve_damped(
         for k in 0..matrix.nrows() {
             matrix[(k, k)] *= 1.0 + damping;
         }
-        solve(&matrix, right)
+        solve(&matrix, right).ok()
     };
     [0.0, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10]
         .into_iter()

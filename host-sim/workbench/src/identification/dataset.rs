@@ -1,8 +1,7 @@
 //! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
-use super::cogging::{Border, SpeedSums};
 use super::columns::Layout;
-use super::normal::NormalEquations;
+use super::normal::{Border, NormalEquations, SpeedSums};
 use super::prepare::{Preparation, Prepared};
 use crate::dynamics::{Motion, PerJoint};
 use nalgebra::DVector;
@@ -25,7 +24,6 @@ pub struct SampleRow {
 }
 
 impl SampleRow {
-    /// One row of a prepared stretch.
     pub(super) fn of(
         layout: &Layout,
         preparation: &Preparation,
@@ -45,7 +43,6 @@ impl SampleRow {
         }
     }
 
-    /// Active columns of one joint.
     pub(super) fn columns(&self, layout: &Layout, joint: usize) -> &[f64] {
         layout.columns(joint, &self.panel)
     }
@@ -65,12 +62,10 @@ pub(super) struct RowSums {
     pub(super) clean: NormalEquations,
     /// Border of each joint's clean sums by sine and cosine of cogging.
     pub(super) cogging: Vec<Border>,
-    /// Number of rows.
     pub(super) rows: usize,
 }
 
 impl RowSums {
-    /// Sums over no rows.
     pub(super) fn new(layout: &Layout) -> Self {
         let active = layout.active.iter();
         Self {
@@ -81,7 +76,6 @@ impl RowSums {
         }
     }
 
-    /// Adds rows.
     pub(super) fn add(&mut self, layout: &Layout, rows: &[&SampleRow]) {
         for joint in 0..layout.joints() {
             let (mut x, mut basis) = (Vec::new(), Vec::new());
@@ -103,7 +97,6 @@ impl RowSums {
 /// An even sample of a stream of items, of `most` at most.
 #[derive(Clone, Debug)]
 pub(super) struct Thinned<T> {
-    /// The sample.
     pub(super) kept: Vec<T>,
     /// Every how many of the items it has.
     pub(super) stride: usize,
@@ -138,7 +131,6 @@ impl<T> Thinned<T> {
     }
 }
 
-/// Most rows of the sample.
 const SAMPLE: usize = 60_000;
 
 /// Result of one pass over the training logs: sums over all rows, and an evenly thinned sample for methods that iterate
@@ -155,12 +147,10 @@ pub(super) struct Dataset {
     pub(super) rows_read: usize,
     /// Of these, those in which each joint stands still.
     pub(super) still: PerJoint<usize>,
-    /// Spikes found.
     pub(super) spikes: usize,
 }
 
 impl Dataset {
-    /// An empty dataset.
     pub(super) fn new(layout: &Layout) -> Self {
         Self {
             sums: RowSums::new(layout),
@@ -172,7 +162,6 @@ impl Dataset {
         }
     }
 
-    /// Adds a stretch.
     pub(super) fn add(&mut self, layout: &Layout, preparation: &Preparation, prepared: &Prepared) {
         self.spikes += prepared.spikes;
         self.speeds.merge(&prepared.speeds);

@@ -1,21 +1,18 @@
 //! From logs to a report and the parameters of a bank.
 
 use super::IdentifyError;
-use super::cogging::CoggingAmplitudes;
-use super::columns::Layout;
+use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
-use super::fourier::folded;
 use super::gains::with_gains;
 use super::judge::{Judgement, after_fit};
 use super::methods::{Fit, MethodName, wls};
+use super::normal::CoggingAmplitudes;
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, Problem, Progress, TrainingData};
 use super::record::{RIVALS, Report, Unseen};
 use super::solve::solve_all;
-use super::stream::for_each_prepared;
-use super::study::truths;
-use super::study::{Study, key_of, recommended};
-use super::terms::ColumnSet;
+use super::stream::{folded, for_each_prepared};
+use super::study::{Study, key_of, recommended, truths};
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
@@ -121,7 +118,7 @@ pub fn identify(
     let mut study = Study {
         problem,
         dataset: &dataset,
-        bound: wls(&data.sums.all, &layout).ok_or(IdentifyError::Unsolvable)?,
+        bound: wls(&data.sums.all, &layout)?,
         results: solve_all(&problem, &data, progress)?,
         truth: config.truth.as_ref().map(|truth| truths(truth, &layout)),
         progress,

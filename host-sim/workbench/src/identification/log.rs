@@ -87,7 +87,7 @@ impl LogReader {
         let rows = Rows::named(path, &given.names)?;
         let own = ["q1_rad", "q2_rad", "tau1_nm", "i1_a"];
         let own = given.source.is_none() && own.iter().any(|name| has(&rows, name));
-        let mut notes = rows.notes().to_vec();
+        let mut notes = rows.notes.clone();
         let named = |map: &LogColumns| match &map.q_rad {
             Some(q) => is_there(&rows, q, robot),
             None => false,
@@ -160,7 +160,7 @@ impl LogReader {
                 "{}: joint {} of the description is {} there, and so on",
                 path.display(),
                 robot.joints[0].name,
-                rows.header()[q.places[0]]
+                rows.header[q.places[0]]
             ));
         }
         Ok(Self {
@@ -187,7 +187,6 @@ impl LogReader {
         })
     }
 
-    /// The log has velocities.
     pub(super) fn has_velocity(&self) -> bool {
         self.qd.is_some()
     }
@@ -199,7 +198,7 @@ impl LogReader {
             .filter(|(_, count)| **count > 0)
             .map(|(joint, count)| format!("joint {} {count} times", joint + 1))
             .collect();
-        let name = self.rows.path().display();
+        let name = self.rows.path.display();
         (!wrapped.is_empty()).then(|| format!("{name}: angles un-wrapped: {}", wrapped.join(", ")))
     }
 
@@ -220,7 +219,7 @@ impl LogReader {
                 let place = columns.places[joint];
                 *value = self.rows.number(place)? * columns.scale[joint];
                 if value.abs() > LARGEST {
-                    let name = &self.rows.header()[place];
+                    let name = &self.rows.header[place];
                     return Err(self.rows.row_error(format!(
                         "column {name}: {value:e} is no measurement of a joint"
                     )));
@@ -238,7 +237,7 @@ impl LogReader {
         };
         if let Err((joint, jump)) = self.unwrap.take(&mut row.q) {
             let swapped = self.is_swapped();
-            let name = &self.rows.header()[self.q.places[joint]];
+            let name = &self.rows.header[self.q.places[joint]];
             let problem = match swapped {
                 true => "positions and torques are swapped: what stands for a torque is smoother than what stands for a position"
                     .to_owned(),
@@ -248,7 +247,7 @@ impl LogReader {
                      in the place of the position, or other units (--units)?"
                 ),
             };
-            return Err(TableError::at(self.rows.path(), row.line, problem));
+            return Err(TableError::at(&self.rows.path, row.line, problem));
         }
         if let Some((coupling, torques)) = &self.coupling {
             for motion in [&mut row.q, &mut row.qd, &mut row.qdd] {
@@ -306,15 +305,9 @@ impl Roughness {
 
     /// At most joints, of which `joints` gives positions and torques, the torque is far smoother.
     pub(super) fn are_swapped(joints: impl IntoIterator<Item = [Self; 2]>) -> bool {
-        let votes = joints
-            .into_iter()
-            .map(|[q, tau]| tau.first > 0.0 && q.ratio() > 10.0 * tau.ratio());
-        let (mut all, mut swapped) = (0, 0);
-        for vote in votes {
-            all += 1;
-            swapped += usize::from(vote);
-        }
-        swapped * 2 > all
+        let far = |[q, tau]: [Self; 2]| tau.first > 0.0 && q.ratio() > 10.0 * tau.ratio();
+        let votes: Vec<bool> = joints.into_iter().map(far).collect();
+        votes.iter().filter(|vote| **vote).count() * 2 > votes.len()
     }
 }
 

@@ -21,7 +21,7 @@ fn joints_of_log<'a>(rows: &'a Rows, names: &ColumnNames) -> Vec<&'a str> {
         return Vec::new();
     };
     let inner = |name: &'a String| name.strip_prefix(before)?.strip_suffix(after);
-    rows.header().iter().filter_map(inner).collect()
+    rows.header.iter().filter_map(inner).collect()
 }
 
 /// Names without what all of them begin and end with.
@@ -103,7 +103,7 @@ fn renamed(
                 there.join(", "),
                 ours.join(", ")
             );
-            return Err(TableError::at(rows.path(), 1, problem));
+            return Err(TableError::at(&rows.path, 1, problem));
         };
         *column = rows.require(&mapped.of(0, there[place]).unwrap_or_default())?;
     }
@@ -113,7 +113,7 @@ fn renamed(
 /// The error of a log without known columns: its header, and the lines of a map with what can be guessed.
 pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     const SHOWN: usize = 40;
-    let header = rows.header();
+    let header = &rows.header;
     let joints = robot.joint_count();
     let mut families: Vec<String> = Vec::new();
     for name in header {
@@ -154,7 +154,7 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
          t_s = \"{time}\"\nq_rad = \"{q}\"\ntau_nm = \"{tau}\"",
         LOG_SOURCES.join(", ")
     );
-    TableError::at(rows.path(), 1, problem)
+    TableError::at(&rows.path, 1, problem)
 }
 
 #[cfg(test)]

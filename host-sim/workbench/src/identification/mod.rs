@@ -3,14 +3,10 @@
 //! `problem` holds the nouns. `log` (rows, checked) → `filter` and `prepare` (motion, regressor and torque through the same
 //! zero-phase filter) → `normal` (one pass over any number of rows, bounded memory) → `methods` → `validation` → `record`.
 
-mod clock;
-mod cogging;
 mod columns;
 mod consistent;
 mod dataset;
-mod evidence;
 mod filter;
-mod fourier;
 mod gains;
 mod identify;
 mod judge;
@@ -24,24 +20,21 @@ mod page;
 mod prepare;
 mod problem;
 mod record;
-mod residual;
 mod solve;
 mod stream;
 mod study;
-mod terms;
 mod uncertainty;
 mod validation;
 mod whole_log;
 
-pub use cogging::CoggingAmplitudes;
-pub use columns::{Layout, Parameter};
+pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use dataset::SampleRow;
 pub use filter::{Butterworth, despiked};
 pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify};
 pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
-pub use normal::JointSums;
+pub use normal::{CoggingAmplitudes, JointSums};
 pub use page::page;
 pub use prepare::{Preparation, PrepareConfig, Prepared, cut_offs, longest_period_s};
 pub use problem::{Candidate, MethodResult, Progress};
@@ -50,7 +43,6 @@ pub use record::{
 };
 pub use solve::fit_rows;
 pub use stream::for_each_prepared;
-pub use terms::{ColumnSet, FrictionTerm};
 pub use whole_log::WholeLog;
 
 use crate::Refusal;

@@ -27,10 +27,9 @@ pub fn page(report: &Report, trace: &[(f64, PerJoint<f64>, PerJoint<f64>)]) -> P
         ),
     );
     let newton_metres = |errors: &[Option<f64>]| {
-        let errors = errors
-            .iter()
-            .map(|error| or_dash(*error, |error| format!("{error:.2}")));
-        errors.collect::<Vec<_>>().join(" · ") + " N·m"
+        let two_digits = |error: &Option<f64>| or_dash(*error, |error| format!("{error:.2}"));
+        let errors: Vec<String> = errors.iter().map(two_digits).collect();
+        errors.join(" · ") + " N·m"
     };
     if !report.headline_rmse_nm.is_empty() {
         page = page
@@ -108,10 +107,8 @@ fn file_section(report: &Report, file: &str) -> Section {
         .map(|joint| format!(" | J{joint} / N·m"))
         .collect();
     let rows = report.methods.iter().filter_map(|(name, method)| {
-        let record = method
-            .validation
-            .get(file)
-            .or_else(|| method.test.get(file))?;
+        let validated = method.validation.get(file);
+        let record = validated.or_else(|| method.test.get(file))?;
         let interval = record.joints_nrmse_moving_ratio_ci95;
         let mut row = vec![
             name.clone(),
@@ -131,10 +128,8 @@ fn file_section(report: &Report, file: &str) -> Section {
         let name = ["noise of the training logs alone", "", ""].map(str::to_owned);
         let floors = check.joints.iter().map(|joint| joint.noise_floor_nm);
         let floors = floors.map(|floor| format!("{floor:.3}"));
-        name.into_iter()
-            .chain(floors)
-            .chain([String::new()])
-            .collect()
+        let cells = name.into_iter().chain(floors);
+        cells.chain([String::new()]).collect()
     });
     let rows = rows.chain(floor);
     Section::new(
@@ -197,8 +192,8 @@ fn needs_section(report: &Report) -> Option<Section> {
     let longest = curves
         .max_by_key(|curve| curve.len())
         .filter(|curve| !curve.is_empty())?;
-    let counts: String = longest
-        .iter()
+    let points = longest.iter();
+    let counts: String = points
         .map(|point| format!("{} rows | ", point.rows))
         .collect();
     let rows = report.methods.iter().map(|(name, method)| {
@@ -222,10 +217,8 @@ fn needs_section(report: &Report) -> Option<Section> {
 
 fn parameters_section(report: &Report) -> Section {
     let mut methods = report.methods.values();
-    let method = report
-        .methods
-        .get("irls")
-        .or_else(|| methods.find(|method| !method.parameters.is_empty()));
+    let robust = report.methods.get("irls");
+    let method = robust.or_else(|| methods.find(|method| !method.parameters.is_empty()));
     let parameters = method.into_iter().flat_map(|method| &method.parameters);
     Section::new(
         "Parameters",
@@ -248,9 +241,8 @@ fn parameters_section(report: &Report) -> Section {
 }
 
 fn notes_section(report: &Report) -> Section {
-    let filtered = report
-        .torque_cutoff_hz
-        .map_or("not filtered".to_owned(), |hz| format!("at {hz} Hz"));
+    let cutoff = report.torque_cutoff_hz.map(|hz| format!("at {hz} Hz"));
+    let filtered = cutoff.unwrap_or_else(|| "not filtered".to_owned());
     Section::new(
         "Treatment of the logs",
         format!(

@@ -1,11 +1,10 @@
 //! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
 
-use super::clock::GAP_PERIODS;
-use super::cogging::SpeedSums;
 use super::columns::Layout;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
-use super::whole_log::WholeLog;
+use super::normal::SpeedSums;
+use super::whole_log::{GAP_PERIODS, WholeLog};
 use super::{IdentifyError, refused};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
@@ -193,12 +192,8 @@ impl Preparation {
 
     /// Rows a stretch must overlap its neighbours by, so that its core does not depend on where the log was cut.
     pub(super) fn margin(&self) -> usize {
-        let filters = [&self.motion, &self.torque];
-        let settling = filters
-            .into_iter()
-            .flatten()
-            .map(|filter| filter.settling_rows);
-        settling.sum::<usize>() + 4
+        let filters = [&self.motion, &self.torque].into_iter().flatten();
+        filters.map(|filter| filter.settling_rows).sum::<usize>() + 4
     }
 
     /// Rows at the ends of a log that the ends disturb. A reflection about the end point has no acceleration there, so derived accelerations are wrong for about one period of the cut-off.
@@ -206,9 +201,8 @@ impl Preparation {
         let derived = self.logged != [true; 2];
         let periods = |filter: &Option<Butterworth>, periods: f64| {
             let rows = |filter: &Butterworth| periods / (filter.cutoff_hz * self.period_s);
-            filter
-                .as_ref()
-                .map_or(0, |filter| rows(filter).ceil() as usize)
+            let filter = filter.as_ref();
+            filter.map_or(0, |filter| rows(filter).ceil() as usize)
         };
         periods(&self.motion, if derived { 1.5 } else { 0.25 }) + periods(&self.torque, 0.25)
     }
@@ -231,9 +225,8 @@ impl Preparation {
     /// Noise of a filtered torque over that of its rows, white noise assumed; see [`stride`](Self::stride).
     pub(super) fn noise_gain(&self) -> f64 {
         let band = |filter: &Butterworth| (2.0 * 0.898 * filter.cutoff_hz * self.period_s).sqrt();
-        self.torque
-            .as_ref()
-            .map_or(1.0, |filter| band(filter).min(1.0))
+        let torque = self.torque.as_ref();
+        torque.map_or(1.0, |filter| band(filter).min(1.0))
     }
 
     /// Half width of the running median that finds spikes: 7 ms, in which a joint torque hardly bends, 2 rows at least.
@@ -313,11 +306,8 @@ pub struct Prepared {
 impl Prepared {
     /// The rows of a stretch.
     pub fn new(stretch: &Stretch, preparation: &Preparation, layout: &Layout) -> Self {
-        let tau: Vec<f64> = stretch
-            .rows
-            .iter()
-            .flat_map(|row| row.tau.to_vec())
-            .collect();
+        let rows = stretch.rows.iter();
+        let tau: Vec<f64> = rows.flat_map(|row| row.tau.to_vec()).collect();
         let (clean, spikes) = despiked(&tau, layout.joints(), preparation.spike_reach());
         let raw = Self {
             states: preparation.motion(&stretch.rows),

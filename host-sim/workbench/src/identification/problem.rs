@@ -1,10 +1,9 @@
 //! Nouns of an identification: problem, training data, candidate model, result of a method.
 
-use super::cogging::{CoggingAmplitudes, SpeedSums};
 use super::columns::Layout;
 use super::dataset::{Dataset, RowSums, SampleRow};
 use super::methods::{Fit, MethodName, huber};
-use super::normal::NormalEquations;
+use super::normal::{CoggingAmplitudes, NormalEquations, SpeedSums};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use crate::training::{BlackBox, LinearLayer};
@@ -18,21 +17,17 @@ pub type Progress<'a> = &'a (dyn Fn(&str) + Sync);
 /// A problem to be solved on any rows.
 #[derive(Clone, Copy)]
 pub(super) struct Problem<'a> {
-    /// The description.
     pub(super) robot: &'a Robot,
     /// All columns.
     pub(super) layout: &'a Layout,
     /// The columns among them that the board has.
     pub(super) board: &'a Layout,
-    /// Methods.
     pub(super) methods: &'a [MethodName],
-    /// Seed of random starts.
     pub(super) seed: u64,
 }
 
 /// Rows that a method is trained on, and sums over them.
 pub(super) struct TrainingData<'a> {
-    /// Sums over filtered rows.
     pub(super) sums: RowSums,
     /// Rows for methods that iterate over them.
     pub(super) sample: Vec<&'a SampleRow>,
@@ -41,7 +36,6 @@ pub(super) struct TrainingData<'a> {
 }
 
 impl<'a> TrainingData<'a> {
-    /// Training data of a whole dataset.
     pub(super) fn all(dataset: &'a Dataset) -> Self {
         Self {
             sums: dataset.sums.clone(),

@@ -73,7 +73,6 @@ pub struct SplitRecord {
 }
 
 impl SplitRecord {
-    /// Record of the sums of each stretch.
     pub(super) fn of(joints: usize, stretches: &[PerJoint<ErrorSums>]) -> Self {
         let all = |joint: usize| {
             let sums = stretches.iter().map(|sums| sums[joint]);
@@ -240,7 +239,6 @@ pub(super) enum Unseen {
 pub(super) const RIVALS: [&str; 2] = ["description", "zero"];
 
 impl MethodRecord {
-    /// Records of unseen logs.
     pub(super) fn unseen(&mut self, kind: Unseen) -> &mut BTreeMap<String, ValidationRecord> {
         match kind {
             Unseen::Validation => &mut self.validation,

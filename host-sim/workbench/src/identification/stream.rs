@@ -1,13 +1,17 @@
-//! Logs as a stream: one thread reads, all cores prepare, and stretches come out in the order of the log.
+//! Logs as prepared rows: as a stream of stretches, or a periodic one folded into one period.
 
-use super::clock::GAP_PERIODS;
 use super::columns::Layout;
-use super::log::LogRow;
-use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch};
-use super::whole_log::WholeLog;
+use super::filter::{despiked, median};
+use super::log::{LogReader, LogRow};
+use super::normal::SpeedSums;
+use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch, states};
+use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::{IdentifyError, refused};
+use crate::Refusal;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use crate::table::TableError;
+use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
@@ -107,4 +111,252 @@ fn cut_into_stretches(
         ));
     }
     Ok(notes)
+}
+
+/// Rows of one search for spikes.
+const CHUNK: usize = 16_384;
+/// Largest distance of a row from its even place, share of the time between rows.
+const UNEVEN: f64 = 0.25;
+
+/// Folds a log whose motion repeats every `period_s` into one period and prepares it. Memory is that of one period.
+///
+/// Everything between the harmonics of a periodic motion is noise: averaging and projection remove it without edges, and
+/// the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
+///
+/// Errors: [`TableError`] of a bad row; one line when the period is no whole number of rows, a row is out of place, or the
+/// log is shorter than the period.
+pub(super) fn folded(
+    path: &Path,
+    robot: &Robot,
+    layout: &Layout,
+    config: &PrepareConfig,
+    period_s: f64,
+    notes: &mut Vec<String>,
+) -> Result<(Preparation, Prepared), IdentifyError> {
+    let mut reader = LogReader::open(path, robot)?;
+    let name = path.display();
+    let mut chunk: Vec<LogRow> = Vec::with_capacity(CHUNK);
+    let mut fold: Option<Fold> = None;
+    loop {
+        let row = reader.next_row()?;
+        chunk.extend(row);
+        if chunk.len() == CHUNK || row.is_none() {
+            let fold = match &mut fold {
+                Some(fold) => fold,
+                None => fold.insert(Fold::new(&chunk, period_s, path)?),
+            };
+            fold.add(&chunk, config, path)?;
+            chunk.clear();
+        }
+        if row.is_none() {
+            break;
+        }
+    }
+    let fold = fold.ok_or_else(|| TableError::empty(path))?;
+    if fold.count.contains(&0.0) {
+        let problem = format!("the log does not show a whole period of {period_s} s");
+        return Err(refused(path, problem));
+    }
+    let phases = fold.count.len();
+    let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
+    let of_motion = harmonics(config.motion_hz);
+    let of_torque = harmonics(config.torque_hz.unwrap_or(f64::INFINITY));
+    notes.push(format!(
+        "{name}: {:.2} periods of {period_s} s folded into one; motion on {of_motion} harmonics, torque and regressor on {of_torque}",
+        fold.count.iter().sum::<f64>() / phases as f64
+    ));
+    let mut preparation = fold.preparation(config);
+    preparation.folded_stride = Some((phases / (2 * of_torque + 1)).max(1));
+    let raw = fold.period(of_motion, period_s);
+    let prepared = raw.filled(&preparation, layout, &|table, width| {
+        let harmonics = Harmonics::of(table, width, of_torque);
+        table.copy_from_slice(&harmonics.evaluate(0, period_s));
+    });
+    Ok((preparation, prepared))
+}
+
+/// Sums over all periods at each phase.
+struct Fold {
+    start_s: f64,
+    row_s: f64,
+    joints: usize,
+    count: Vec<f64>,
+    t_s: Vec<f64>,
+    /// Positions, torques, and torques without spikes.
+    tables: [Vec<f64>; 3],
+    spikes: usize,
+}
+
+impl Fold {
+    fn new(first: &[LogRow], period_s: f64, path: &Path) -> Result<Self, IdentifyError> {
+        let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
+        let row_s = median(&mut steps);
+        if first.len() < 3 {
+            return Err(TableError::empty(path).into());
+        }
+        let phases = (period_s / row_s).round();
+        if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
+            let rows = format!("rows, which are {row_s:.6} s apart");
+            let problem = format!("a period of {period_s} s is no whole number of {rows}");
+            return Err(refused(path, problem));
+        }
+        let (phases, joints) = (phases as usize, first[0].q.len());
+        Ok(Self {
+            start_s: first[0].t_s,
+            row_s,
+            joints,
+            count: vec![0.0; phases],
+            t_s: vec![0.0; phases],
+            tables: [(); 3].map(|()| vec![0.0; phases * joints]),
+            spikes: 0,
+        })
+    }
+
+    fn add(
+        &mut self,
+        rows: &[LogRow],
+        config: &PrepareConfig,
+        path: &Path,
+    ) -> Result<(), IdentifyError> {
+        let joints = self.joints;
+        let tau: Vec<f64> = rows.iter().flat_map(|row| row.tau.to_vec()).collect();
+        let reach = self.preparation(config).spike_reach();
+        let (clean, spikes) = despiked(&tau, joints, reach);
+        self.spikes += spikes;
+        for (row, clean) in rows.iter().zip(clean.chunks_exact(joints)) {
+            let place = (row.t_s - self.start_s) / self.row_s;
+            if (place - place.round()).abs() > UNEVEN {
+                let (name, line, t_s) = (path.display(), row.line, row.t_s);
+                return Err(IdentifyError::Refused(Refusal(format!(
+                    "{name}:{line}: column t_s: {t_s} is off the even spacing of {:.6} s that folding needs",
+                    self.row_s
+                ))));
+            }
+            let phase = place.round() as usize % self.count.len();
+            self.count[phase] += 1.0;
+            self.t_s[phase] += row.t_s;
+            for (table, values) in self.tables.iter_mut().zip([&row.q[..], &row.tau, clean]) {
+                let sums = &mut table[phase * joints..][..joints];
+                sums.iter_mut()
+                    .zip(values)
+                    .for_each(|(sum, value)| *sum += value);
+            }
+        }
+        Ok(())
+    }
+
+    fn preparation(&self, config: &PrepareConfig) -> Preparation {
+        Preparation::new(config, self.start_s, self.row_s, [false; 2])
+    }
+
+    /// The mean period, its motion on harmonics.
+    fn period(mut self, harmonics: usize, period_s: f64) -> Prepared {
+        let joints = self.joints;
+        for (phase, count) in self.count.iter().enumerate() {
+            self.t_s[phase] /= count;
+            for table in &mut self.tables {
+                let sums = &mut table[phase * joints..][..joints];
+                sums.iter_mut().for_each(|sum| *sum /= count);
+            }
+        }
+        let [q, tau, clean] = self.tables;
+        let series = Harmonics::of(&q, joints, harmonics);
+        let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
+        Prepared {
+            states: states(joints, [&q, &qd, &qdd]),
+            panel: Vec::new(),
+            cogging_basis: Vec::new(),
+            speeds: SpeedSums::new(joints),
+            tau,
+            clean,
+            spikes: self.spikes,
+            core: 0..self.count.len(),
+            t_s: self.t_s,
+        }
+    }
+}
+
+/// Fourier series of the columns of a table that holds one period: mean, then cosine and sine of each harmonic.
+struct Harmonics {
+    width: usize,
+    coefficients: Vec<f64>,
+    /// sin and cos of each phase.
+    turn: Vec<(f64, f64)>,
+}
+
+impl Harmonics {
+    fn of(table: &[f64], width: usize, count: usize) -> Self {
+        let phases = table.len() / width;
+        let turn = |phase: usize| (TAU * phase as f64 / phases as f64).sin_cos();
+        let turn: Vec<(f64, f64)> = (0..phases).map(turn).collect();
+        let mut coefficients = vec![0.0; (2 * count + 1) * width];
+        for (phase, row) in table.chunks_exact(width).enumerate() {
+            for (k, place) in coefficients.chunks_exact_mut(width).enumerate() {
+                let (sin, cos) = turn[k.div_ceil(2) * phase % phases];
+                let scale = if k == 0 { 1.0 } else { 2.0 } / phases as f64;
+                let factor = scale * if k % 2 == 1 || k == 0 { cos } else { sin };
+                for (sum, value) in place.iter_mut().zip(row) {
+                    *sum += factor * value;
+                }
+            }
+        }
+        Self {
+            width,
+            coefficients,
+            turn,
+        }
+    }
+
+    /// The series, or its first or second derivative over time, at every phase.
+    fn evaluate(&self, derivative: i32, period_s: f64) -> Vec<f64> {
+        let phases = self.turn.len();
+        let mut table = vec![0.0; phases * self.width];
+        for (phase, row) in table.chunks_exact_mut(self.width).enumerate() {
+            for (k, own) in self.coefficients.chunks_exact(self.width).enumerate() {
+                let harmonic = k.div_ceil(2);
+                let (sin, cos) = self.turn[harmonic * phase % phases];
+                let w = TAU * harmonic as f64 / period_s;
+                let even = k % 2 == 1 || k == 0;
+                let factor = match (derivative, even) {
+                    (0, true) => cos,
+                    (0, false) => sin,
+                    (1, true) => -w * sin,
+                    (1, false) => w * cos,
+                    (_, true) => -w * w * cos,
+                    (_, false) => -w * w * sin,
+                };
+                for (value, own) in row.iter_mut().zip(own) {
+                    *value += factor * own;
+                }
+            }
+        }
+        table
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn harmonics_are_exact_and_noise_between_them_goes() {
+        let (phases, period_s) = (200, 4.0);
+        let w = TAU / period_s;
+        let t = |phase: usize| period_s * phase as f64 / phases as f64;
+        let wave = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
+        let table: Vec<f64> = (0..phases)
+            .map(|phase| wave(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
+            .collect();
+        let series = Harmonics::of(&table, 1, 5);
+        let exact: [&dyn Fn(f64) -> f64; 3] = [
+            &wave,
+            &|t| w * (w * t).cos() + 1.2 * w * (3.0 * w * t).sin(),
+            &|t| -w * w * (w * t).sin() + 3.6 * w * w * (3.0 * w * t).cos(),
+        ];
+        for (order, exact) in (0..).zip(exact) {
+            for (phase, value) in series.evaluate(order, period_s).iter().enumerate() {
+                assert!((value - exact(t(phase))).abs() < 1e-9, "{order} {phase}");
+            }
+        }
+    }
 }

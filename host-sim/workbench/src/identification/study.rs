@@ -1,20 +1,17 @@
 //! All methods side by side on the same logs, and their errors against known true parameters.
 
 use super::IdentifyError;
-use super::columns::Layout;
+use super::columns::{FrictionTerm, Layout};
 use super::consistent::consistent;
 use super::dataset::Dataset;
-use super::evidence::evidence;
 use super::judge::description;
-use super::methods::{Fit, MethodName, wls};
+use super::methods::{Fit, MethodName, evidence, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
 use super::record::{MethodRecord, RIVALS, Unseen, ValidationRecord, base_error};
 use super::stream::for_each_prepared;
-use super::terms::FrictionTerm;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
-use super::validation::{FileScores, Trace};
-use super::validation::{learning_curves, split};
+use super::validation::{FileScores, Trace, learning_curves, split};
 use crate::robot::Robot;
 use crate::training::{Descent, PhysicalConfig};
 use foretorque::dynamics::FrictionColumn;
@@ -25,7 +22,6 @@ use std::path::{Path, PathBuf};
 /// Name of the linear part of networks, while it competes with them.
 const LINEAR_PART: &str = "linear part";
 
-/// Records by name of the method.
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
 
 /// All methods on one dataset.
@@ -93,10 +89,8 @@ impl Study<'_> {
     ) -> Result<Trace, IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
         // The linear part of networks competes with them, and takes their place where it is better on unseen rows.
-        let fallback = self
-            .results
-            .iter()
-            .position(|result| result.linear.is_some());
+        let has_linear = |result: &MethodResult| result.linear.is_some();
+        let fallback = self.results.iter().position(has_linear);
         let fallback = fallback.filter(|_| kind == Unseen::Validation);
         let linear = fallback.and_then(|place| self.results[place].linear.clone());
         let linear = linear.map(|fit| (Candidate::Linear(fit.theta.clone()), fit));
@@ -210,13 +204,16 @@ impl Study<'_> {
                 ..*fit
             }));
         }
-        let free = wls(&sums, board).ok_or(IdentifyError::Unsolvable)?;
+        let free = wls(&sums, board)?;
         let fit = match result.name {
-            MethodName::Consistent => consistent(robot, board, &free).map(|found| found.fit),
-            MethodName::Evidence => evidence(robot, board, &sums, &free.sigma),
-            _ => Some(free),
+            MethodName::Consistent => {
+                let found = consistent(robot, board, &free);
+                found.ok_or(IdentifyError::Unsolvable)?.fit
+            }
+            MethodName::Evidence => evidence(robot, board, &sums, &free.sigma)?,
+            _ => free,
         };
-        fit.map(honest).ok_or(IdentifyError::Unsolvable)
+        Ok(honest(fit))
     }
 }
 

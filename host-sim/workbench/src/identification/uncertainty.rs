@@ -15,7 +15,6 @@ use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Number of draws.
 const DRAWS: usize = 200;
 /// Number of blocks of training rows.
 const BLOCKS: usize = 40;
@@ -84,7 +83,7 @@ pub(super) fn parameter_intervals(
             layout.add_prior(&mut gram);
         }
         // A draw may miss the blocks which show a parameter.
-        Some(solve(&gram, &moment)?.0)
+        Some(solve(&gram, &moment).ok()?.0)
     });
     let values = |place| draws.iter().map(move |theta: &DVector<f64>| theta[place]);
     (0..size).map(|place| middle(values(place))).collect()
@@ -128,7 +127,7 @@ pub(super) fn with_block_deviations(
     });
     let (mut gram, moment) = sums.weighted(layout, &sigma);
     layout.add_prior(&mut gram);
-    let Some((_, covariance)) = solve(&gram, &moment) else {
+    let Ok((_, covariance)) = solve(&gram, &moment) else {
         return fit;
     };
     // A prior may have made the fit surer than its rows.
@@ -146,9 +145,9 @@ pub(super) fn with_block_deviations(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::columns::ColumnSet;
     use crate::identification::dataset::{RowSums, random_rows};
     use crate::identification::methods::wls;
-    use crate::identification::terms::ColumnSet;
     use crate::robot::Robot;
     use rand::{Rng, SeedableRng};
 

@@ -46,10 +46,8 @@ fn predictions(
     let networks: Option<Vec<PerJoint<f64>>> =
         states.map(|state| candidate.network(state)).collect();
     let mut table = networks.map_or(vec![0.0; prepared.tau.len()], |networks| {
-        let mut table: Vec<f64> = networks
-            .iter()
-            .flat_map(|own| own.iter().copied())
-            .collect();
+        let torques = networks.iter().flat_map(|own| own.iter().copied());
+        let mut table: Vec<f64> = torques.collect();
         preparation.smooth_torque(&mut table, joints);
         table
     });
@@ -63,13 +61,11 @@ fn predictions(
     table
 }
 
-/// Most rows of the sample.
 const SAMPLE: usize = 2000;
 /// Most points of the trace.
 const TRACE: usize = 1500;
 
 impl FileScores {
-    /// Scores over no rows.
     pub(super) fn new(layout: &Layout, candidates: usize) -> Self {
         let none = vec![no_sums(layout.joints()); candidates];
         Self {
@@ -238,10 +234,8 @@ pub(super) fn split(
         add(results, sample);
     }
     let joints = layout.joints();
-    Ok(sums
-        .iter()
-        .map(|sums| SplitRecord::of(joints, sums))
-        .collect())
+    let records = sums.iter().map(|sums| SplitRecord::of(joints, sums));
+    Ok(records.collect())
 }
 
 /// Errors on rows of an unseen log of every method trained on growing shares of the log.
@@ -290,7 +284,6 @@ fn error_sums(layout: &Layout, candidate: &Candidate, rows: &[SampleRow]) -> Per
     sums
 }
 
-/// Sums over no rows.
 fn no_sums(joints: usize) -> PerJoint<ErrorSums> {
     PerJoint::repeat(joints, ErrorSums::default())
 }

@@ -94,14 +94,12 @@ impl<const N: usize> Inverse<N> {
         jump: f64,
     ) -> Result<Joints<N>, Refusal> {
         let q = if self.closed.is_some() {
-            let turned =
-                |q: &Joints<N>| q.zip_map(predicted, |q, p| q + ((p - q) / TAU).round() * TAU);
             let solutions = self.solutions(target, predicted)?;
-            let step = |q: &Joints<N>| (q - predicted).amax();
-            let nearest = solutions
+            let turned = solutions
                 .iter()
-                .map(turned)
-                .min_by(|a, b| step(a).total_cmp(&step(b)));
+                .map(|q| q.zip_map(predicted, |q, p| q + ((p - q) / TAU).round() * TAU));
+            let step = |q: &Joints<N>| (q - predicted).amax();
+            let nearest = turned.min_by(|a, b| step(a).total_cmp(&step(b)));
             nearest.ok_or_else(|| outside_ranges(0))?
         } else {
             solve_from(&self.chain, target, predicted).map_err(|left| missed(&left))?
@@ -194,7 +192,7 @@ fn solve_from<const N: usize>(
     let mut left = pose_error(&chain.forward(&q), target);
     for _ in 0..STEPS {
         if left.amax() < ARRIVED {
-            return Ok(q);
+            break;
         }
         let jacobian = chain.jacobian(&q);
         let damping = 0.5 * left.norm_squared();
@@ -206,9 +204,10 @@ fn solve_from<const N: usize>(
         left = pose_error(&chain.forward(&q), target);
     }
     if left.amax() < ARRIVED {
-        return Ok(q);
+        Ok(q)
+    } else {
+        Err(left)
     }
-    Err(left)
 }
 
 /// Lengths of the linear and the angular part, m and rad.

@@ -11,8 +11,9 @@ mod ur;
 
 use crate::dynamics::Joints;
 use crate::robot::{Placement, Robot};
-pub use inverse::Inverse;
 use nalgebra::{Matrix3, Rotation3, SMatrix, Vector3, Vector6};
+
+pub use inverse::Inverse;
 
 /// Velocity of the flange, m/s, then its angular velocity, rad/s; or the derivative of both.
 pub type Twist = Vector6<f64>;

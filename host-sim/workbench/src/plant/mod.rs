@@ -2,13 +2,11 @@
 //! last bit.
 
 mod effects;
-mod events;
 mod friction;
 #[cfg(test)]
 mod tests;
 
-pub use effects::PlantEffects;
-pub use events::{Events, Payload, Push, ReportFaults};
+pub use effects::{Events, Payload, PlantEffects, Push, ReportFaults};
 
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::Robot;

@@ -1,8 +1,7 @@
 //! The report template: one HTML file, nothing fetched; a script only shows values and zooms in plots.
 
-use super::escape;
 use super::plot::{Panel, PlotError, grid};
-use super::{PlotColor, style_sheet, variables};
+use super::{PlotColor, escape, style_sheet, variables};
 use std::fmt::Display;
 
 /// A report as a page: title, lead, figures in large type, sections.

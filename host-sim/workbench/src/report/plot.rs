@@ -2,8 +2,7 @@
 
 pub use super::PlotColor;
 
-use super::escape;
-use super::{light, rgb};
+use super::{escape, light, rgb};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use serde_json::json;

@@ -20,7 +20,6 @@ const LOOK_AHEAD: usize = 64;
 /// Messages read ahead.
 const QUEUE: usize = 1024;
 
-/// A joint state of a message.
 struct JointState {
     /// Stamp of the header, ns.
     stamp_ns: i64,
@@ -36,7 +35,6 @@ type Item = Result<JointState, TableError>;
 /// Header, rows and notes of a bag.
 pub(super) type Bag = (Vec<String>, Messages, Vec<String>);
 
-/// Rows of a bag.
 pub(super) struct Messages {
     seen: std::vec::IntoIter<JointState>,
     rest: Receiver<Item>,
@@ -77,12 +75,7 @@ impl Messages {
         for name in &self.names {
             let place = state.names.iter().position(|own| own == name);
             let place = place.ok_or_else(|| broken(format!("no joint {name}")))?;
-            for (values, _) in state
-                .values
-                .iter()
-                .zip(self.kinds)
-                .filter(|(_, kind)| *kind)
-            {
+            for (values, _) in state.values.iter().zip(self.kinds).filter(|own| own.1) {
                 let value = values.get(place);
                 let value = value.ok_or_else(|| broken(format!("joint {name} lacks a value")))?;
                 row.push(*value);
@@ -104,7 +97,7 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
         bags.into_iter().next()
     };
     let file = if path.is_dir() {
-        inside(path).ok_or_else(|| refused(path, "a directory without .db3 or .mcap".to_owned()))?
+        inside(path).ok_or_else(|| refused(path, "a directory without .db3 or .mcap"))?
     } else {
         path.to_owned()
     };
@@ -113,11 +106,11 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
         Some("mcap") => read_mcap,
         Some("parquet") => {
             let way = "parquet is not read; write CSV: python3 -c \"import pandas as p; p.read_parquet('F').to_csv('F.csv')\"";
-            return Err(refused(path, way.to_owned()));
+            return Err(refused(path, way));
         }
         Some("bag") => {
             let way = "a bag of ROS 1 is not read; convert it: rosbags-convert --src F.bag --dst F";
-            return Err(refused(path, way.to_owned()));
+            return Err(refused(path, way));
         }
         _ => return Ok(None),
     };
@@ -152,10 +145,8 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
         let quantities = quantities.filter(|(_, kind)| *kind);
         header.extend(quantities.map(|(quantity, _)| format!("{name}/{quantity}")));
     }
-    let note = format!(
-        "{}: joint states by name, time by the stamps of their headers",
-        path.display()
-    );
+    let name = path.display();
+    let note = format!("{name}: joint states by name, time by the stamps of their headers");
     let notes = if most.plain { Vec::new() } else { vec![note] };
     let messages = Messages {
         seen: seen.into_iter(),
@@ -173,7 +164,7 @@ fn extension(path: &Path) -> Option<&str> {
     path.extension().and_then(|extension| extension.to_str())
 }
 
-fn refused(path: &Path, problem: String) -> TableError {
+fn refused(path: &Path, problem: impl Into<String>) -> TableError {
     TableError::at(path, None, problem)
 }
 
@@ -327,21 +318,19 @@ struct Cdr<'a> {
 }
 
 impl Cdr<'_> {
-    /// The next `SIZE` bytes, aligned to their number.
+    /// The next `SIZE` bytes, aligned to their number, the lowest first.
     fn take<const SIZE: usize>(&mut self) -> Option<[u8; SIZE]> {
         let begin = self.at.next_multiple_of(SIZE);
-        let bytes = self.data.get(begin..begin + SIZE)?;
+        let mut bytes: [u8; SIZE] = self.data.get(begin..begin + SIZE)?.try_into().ok()?;
         self.at = begin + SIZE;
-        bytes.try_into().ok()
+        if !self.little {
+            bytes.reverse();
+        }
+        Some(bytes)
     }
 
     fn word(&mut self) -> Option<u32> {
-        let bytes = self.take()?;
-        Some(if self.little {
-            u32::from_le_bytes(bytes)
-        } else {
-            u32::from_be_bytes(bytes)
-        })
+        self.take().map(u32::from_le_bytes)
     }
 
     fn text(&mut self) -> Option<String> {
@@ -356,14 +345,7 @@ impl Cdr<'_> {
         let count = self.word()?;
         // A length that the data cannot hold ends the loop early.
         (0..count)
-            .map(|_| {
-                let bytes = self.take()?;
-                Some(if self.little {
-                    f64::from_le_bytes(bytes)
-                } else {
-                    f64::from_be_bytes(bytes)
-                })
-            })
+            .map(|_| self.take().map(f64::from_le_bytes))
             .collect()
     }
 }

@@ -4,7 +4,6 @@
 //! ends in `.gz` is compressed. Every error names file, line and column.
 
 mod bag;
-mod mcap;
 mod rows;
 mod writer;
 
@@ -72,7 +71,7 @@ impl<const N: usize> StateReader<N> {
     pub fn read_all(mut self) -> Result<Vec<StateRow<N>>, TableError> {
         let rows = self.by_ref().collect::<Result<Vec<_>, _>>()?;
         if rows.is_empty() {
-            return Err(TableError::empty(self.rows.path()));
+            return Err(TableError::empty(&self.rows.path));
         }
         Ok(rows)
     }
@@ -104,10 +103,8 @@ const STATE: [(&str, &str); 3] = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2
 
 /// `q1_rad…, qd1_rad_s…, qdd1_rad_s2…`
 pub fn state_columns(joints: usize) -> Vec<String> {
-    STATE
-        .iter()
-        .flat_map(|(name, unit)| joint_columns(name, unit, joints))
-        .collect()
+    let columns = STATE.map(|(name, unit)| joint_columns(name, unit, joints));
+    columns.concat()
 }
 
 /// One column a joint: `name1_unit…`.
@@ -165,7 +162,6 @@ impl TableError {
         Self::at(path, None, "no rows")
     }
 
-    /// The header lacks this column.
     pub(crate) fn missing(path: &Path, column: &str) -> Self {
         Self::at(path, 1, format!("column {column} is missing"))
     }

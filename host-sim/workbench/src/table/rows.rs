@@ -11,11 +11,13 @@ use std::path::{Path, PathBuf};
 /// Reads a table row by row, in constant memory: CSV with any separator, or the joint states of a ROS 2 bag. A name that
 /// ends in `.gz` is decompressed.
 pub(crate) struct Rows {
-    path: PathBuf,
+    pub(crate) path: PathBuf,
     source: Source,
-    header: Vec<String>,
+    /// Names of the columns.
+    pub(crate) header: Vec<String>,
     previous_s: Option<f64>,
-    notes: Vec<String>,
+    /// Remarks on what was read.
+    pub(crate) notes: Vec<String>,
 }
 
 enum Source {
@@ -89,16 +91,10 @@ impl Rows {
         let bytes = BoundedLines { bytes, length: 0 };
         let mut bytes: Box<dyn BufRead + Send> = Box::new(BufReader::with_capacity(1 << 18, bytes));
         let first = bytes.fill_buf().map_err(|error| at(path, error))?;
-        let first = first
-            .split(|byte| *byte == b'\n')
-            .next()
-            .unwrap_or_default();
-        let first = String::from_utf8_lossy(first).into_owned();
-        let separators = SEPARATORS.into_iter();
-        let separator = separators
-            .into_iter()
-            .find(|separator| first.trim().as_bytes().contains(separator))
-            .unwrap_or(b',');
+        let first = first.split(|byte| *byte == b'\n').next();
+        let first = String::from_utf8_lossy(first.unwrap_or_default()).into_owned();
+        let is_there = |separator: &u8| first.trim().as_bytes().contains(separator);
+        let separator = SEPARATORS.into_iter().find(is_there).unwrap_or(b',');
         let fields = first
             .split(char::from(separator))
             .filter(|field| !field.trim().is_empty());
@@ -141,20 +137,6 @@ impl Rows {
             previous_s: None,
             notes: Vec::new(),
         })
-    }
-
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Names of the columns.
-    pub(crate) fn header(&self) -> &[String] {
-        &self.header
-    }
-
-    /// Remarks on what was read.
-    pub(crate) fn notes(&self) -> &[String] {
-        &self.notes
     }
 
     /// Place of a column; `None` if the table does not have it.

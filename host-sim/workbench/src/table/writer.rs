@@ -1,10 +1,15 @@
-//! Writing a table.
+//! Writing a table: CSV, and MCAP with the columns of each topic as one JSON message a row, at the time of the row.
+//!
+//! Numbers in an MCAP are those of the CSV, digit by digit. Chunks are small, so that a file that was cut reads almost to its end.
 
 use super::is_compressed;
-use super::mcap::McapTable;
 use crate::files::WholeFile;
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use mcap::{WriteOptions, Writer};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::io::{self, Write};
 use std::path::Path;
@@ -99,5 +104,196 @@ impl TableWriter {
             Sink::Plain(file) => file.finish(),
             Sink::Compressed(encoder) => encoder.finish()?.finish(),
         }
+    }
+}
+
+/// Bytes of a chunk before compression.
+const CHUNK: u64 = 1 << 16;
+
+/// Topics by the words that names of columns begin with, the first that fits; all others are of the board.
+const TOPICS: [(&str, &[&str]); 6] = [
+    ("/desired", &["desired"]),
+    (
+        "/shares",
+        &["total", "rigid", "friction", "network", "feed_forward"],
+    ),
+    ("/residual", &["residual"]),
+    (
+        "/decisions",
+        &["decision", "trust", "information", "payload", "guard"],
+    ),
+    ("/safety", &["flags", "safety"]),
+    ("/measured", &["q", "tau", "i"]),
+];
+
+/// The topic of a column.
+fn topic_of(column: &str) -> &'static str {
+    let stem = column.find(|c: char| c.is_ascii_digit());
+    let stem = stem.map_or(column, |end| &column[..end]);
+    let fits = |word: &&str| match word.len() {
+        1 => stem == *word || (*word == "q" && matches!(stem, "qd" | "qdd")),
+        _ => stem.starts_with(*word),
+    };
+    let found = TOPICS.iter().find(|(_, words)| words.iter().any(fits));
+    found.map_or("/board", |(topic, _)| topic)
+}
+
+/// Writes rows as messages.
+struct McapTable {
+    writer: Writer<NoSeek<WholeFile>>,
+    /// Channel, its columns with their names as JSON keys.
+    channels: Vec<(u16, Vec<(usize, String)>)>,
+    time: Option<usize>,
+    rows: u32,
+}
+
+fn failed(error: mcap::McapError) -> io::Error {
+    match error {
+        mcap::McapError::Io(error) => error,
+        other => io::Error::other(other.to_string()),
+    }
+}
+
+impl McapTable {
+    fn create(path: &Path, header: &[String]) -> io::Result<Self> {
+        let mut writer = WriteOptions::new()
+            .library("foretorque")
+            .chunk_size(Some(CHUNK))
+            .disable_seeking(true)
+            .create(NoSeek::new(WholeFile::create(path)?))
+            .map_err(failed)?;
+        let mut topics: BTreeMap<&str, Vec<(usize, String)>> = BTreeMap::new();
+        for (place, name) in header.iter().enumerate().filter(|(_, name)| *name != "t_s") {
+            let columns = topics.entry(topic_of(name)).or_default();
+            columns.push((place, name.clone()));
+        }
+        let mut channels = Vec::new();
+        for (topic, columns) in topics {
+            let number =
+                |(_, name): &(usize, String)| format!("\"{name}\":{{\"type\":\"number\"}}");
+            let properties: Vec<String> = columns.iter().map(number).collect();
+            let schema = format!(
+                "{{\"type\":\"object\",\"properties\":{{{}}}}}",
+                properties.join(",")
+            );
+            let name = format!("foretorque{}", topic.replace('/', "."));
+            let schema = writer.add_schema(&name, "jsonschema", schema.as_bytes());
+            let schema = schema.map_err(failed)?;
+            let channel = writer.add_channel(schema, topic, "json", &BTreeMap::new());
+            channels.push((channel.map_err(failed)?, columns));
+        }
+        Ok(Self {
+            writer,
+            channels,
+            time: header.iter().position(|name| name == "t_s"),
+            rows: 0,
+        })
+    }
+
+    /// Adds a row of numbers as they stand in the CSV.
+    fn row(&mut self, values: &[String]) -> io::Result<()> {
+        let t_s = self.time.and_then(|place| values.get(place)?.parse().ok());
+        let t_s: f64 = t_s.unwrap_or(f64::from(self.rows));
+        let log_time = (t_s * 1e9).round() as u64;
+        for (channel, columns) in &self.channels {
+            let pairs = columns.iter().filter_map(|(place, name)| {
+                let value = values.get(*place)?;
+                // JSON has no infinities.
+                let finite = value.parse::<f64>().is_ok_and(f64::is_finite);
+                let value = if finite { value } else { "null" };
+                Some(format!("\"{name}\":{value}"))
+            });
+            let message = format!("{{{}}}", pairs.collect::<Vec<_>>().join(","));
+            let header = MessageHeader {
+                channel_id: *channel,
+                sequence: self.rows,
+                log_time,
+                publish_time: log_time,
+            };
+            self.writer
+                .write_to_known_channel(&header, message.as_bytes())
+                .map_err(failed)?;
+        }
+        self.rows += 1;
+        Ok(())
+    }
+
+    fn finish(mut self) -> io::Result<()> {
+        self.writer.finish().map_err(failed)?;
+        self.writer.into_inner().into_inner().finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use mcap::read::Options;
+    use std::fs;
+
+    #[test]
+    fn columns_go_to_the_topics_of_their_kind() {
+        for (column, topic) in [
+            ("q1_rad", "/measured"),
+            ("qdd6_rad_s2", "/measured"),
+            ("tau3_nm", "/measured"),
+            ("desired_q1_rad", "/desired"),
+            ("desired1_rad", "/desired"),
+            ("feed_forward2_nm", "/shares"),
+            ("residual1_of_limit", "/residual"),
+            ("decision_reason", "/decisions"),
+            ("safety_state", "/safety"),
+            ("tick_counts", "/board"),
+            ("information", "/decisions"),
+        ] {
+            assert_eq!(topic_of(column), topic, "{column}");
+        }
+    }
+
+    /// Values of column `name` of all messages that can be read, by sequence.
+    fn read(bytes: &[u8], name: &str) -> Vec<(u32, f64)> {
+        let stream = mcap::MessageStream::new_with_options(bytes, Options::IgnoreEndMagic.into());
+        let Ok(stream) = stream else {
+            return Vec::new();
+        };
+        let of = |message: mcap::Message<'_>| {
+            let value: serde_json::Value = serde_json::from_slice(&message.data).ok()?;
+            Some((message.sequence, value.get(name)?.as_f64()?))
+        };
+        stream.map_while(Result::ok).filter_map(of).collect()
+    }
+
+    #[test]
+    fn every_row_comes_back_with_its_bits_and_a_cut_file_reads_to_its_last_whole_chunk() {
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("table.mcap");
+        let header = ["t_s", "q1_rad", "flags"].map(str::to_owned);
+        let mut table = McapTable::create(&path, &header).expect("creates");
+        let value = |row: u32| (f64::from(row) * 0.37).sin() / 3.0;
+        const ROWS: u32 = 6000;
+        for row in 0..ROWS {
+            let values = [f64::from(row) * 1e-3, value(row), f64::from(row % 7)];
+            table
+                .row(&values.map(|value| value.to_string()))
+                .expect("writes");
+        }
+        table.finish().expect("finishes");
+        let bytes = fs::read(&path).expect("reads");
+        let all = read(&bytes, "q1_rad");
+        assert_eq!(all.len(), ROWS as usize);
+        for (row, found) in &all {
+            assert_eq!(*found, value(*row));
+        }
+        let mut lengths = std::collections::BTreeSet::new();
+        for part in 1..40 {
+            let cut = &bytes[..bytes.len() * part / 40];
+            let rows = read(cut, "q1_rad");
+            assert!(rows.iter().zip(&all).all(|(cut, whole)| cut == whole));
+            lengths.insert(rows.len());
+        }
+        // Chunks of 64 KiB: there are several, and the last cut has all but the last of them.
+        assert!(
+            lengths.len() > 3 && *lengths.last().expect("some") > ROWS as usize / 2,
+            "{lengths:?}"
+        );
     }
 }

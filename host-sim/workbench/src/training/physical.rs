@@ -10,6 +10,7 @@
 //! so an epoch sees every row and costs the square of the number of weights. Columns are brought to unit RMS first:
 //! without that, gradient descent on SI columns does not arrive.
 
+use crate::metrics::scaled;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -101,9 +102,7 @@ impl LinearLayer {
             }
         };
         let scale = gram.diagonal().map(scale);
-        let gram = DMatrix::from_fn(gram.nrows(), gram.ncols(), |r, c| {
-            gram[(r, c)] * scale[r] * scale[c] / count
-        });
+        let gram = scaled(gram, &scale) / count;
         let largest = gram.clone().symmetric_eigenvalues().max();
         Self {
             gram,

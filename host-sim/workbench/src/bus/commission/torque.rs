@@ -24,7 +24,7 @@ const SWEEP_RAD_S: f64 = 0.15;
 /// Parts of a sweep: their spread is the deviation of its mean.
 const BLOCKS: usize = 8;
 /// Angle between the pose of rest and that in which a joint weighs, rad.
-pub(super) const TILT_RAD: f64 = 0.6;
+const TILT_RAD: f64 = 0.6;
 /// Largest error of a gain that a data sheet explains.
 const GAIN_ERROR: f64 = 0.2;
 
@@ -54,16 +54,13 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             let pairs = coasted.iter().zip(coasted.iter().skip(4));
             let moving = pairs.take_while(moving);
             let coasted: Vec<(f64, f64)> = moving.map(|(one, _)| *one).collect();
-            let slowing = if coasted.len() >= 8 {
-                acceleration(&coasted)
-            } else {
-                0.0
+            let slowing = match coasted.len() {
+                8.. => acceleration(&coasted),
+                _ => 0.0,
             };
             // The push starts when the joint breaks away.
-            let start = pushed
-                .iter()
-                .position(|(_, q)| q - pushed[0].1 > 0.002)
-                .unwrap_or(0);
+            let start = pushed.iter().position(|(_, q)| q - pushed[0].1 > 0.002);
+            let start = start.unwrap_or(0);
             let ratio = inertia * (acceleration(&pushed[start..]) - slowing) / push_nm;
             self.found[joint].torque_ratio = Some(ratio);
             return check(joint, RATIOS.contains(&ratio), || {
@@ -74,12 +71,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             });
         }
         let most = LEVELS[LEVELS.len() - 1] * limit;
-        Err(BusError::Mistake(
-            joint,
-            format!(
-                "scale of torque: no motion at {most:.2} N·m, a tenth of its limit; is it too small, or is the joint blocked?"
-            ),
-        ))
+        let problem = format!(
+            "scale of torque: no motion at {most:.2} N·m, a tenth of its limit; is it too small, or is the joint blocked?"
+        );
+        Err(BusError::Mistake(joint, problem))
     }
 
     /// Sweeps each joint both ways in the loop and compares the torques with the described arm.
@@ -172,9 +167,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                     let result = self.player.tick(Some(&motion_f32(&desired)))?;
                     self.player.check()?;
                     // The first half is for what the start has moved.
-                    let block = (2 * tick)
-                        .checked_sub(ticks)
-                        .map(|late| late * BLOCKS / ticks);
+                    let late = (2 * tick).checked_sub(ticks);
+                    let block = late.map(|late| late * BLOCKS / ticks);
                     if let Some((measured, block)) = result.measured.zip(block) {
                         let gravity = self.model.gravity_torques(&measured.q.cast())[joint];
                         blocks[block] += f64::from(measured.tau[joint]) - gravity;
@@ -214,11 +208,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         for tick in 0..(until.0 / period_s) as usize {
             self.player.network.wait();
             while let Some((bus, frame)) = self.player.network.receive()? {
-                let of_joint = joints[joint]
-                    .drive
-                    .decode(&frame)
-                    .filter(|_| bus == joints[joint].bus);
-                if let Some(Event::Reply(reply)) = of_joint {
+                let event = joints[joint].drive.decode(&frame);
+                if let Some(Event::Reply(reply)) = event.filter(|_| bus == joints[joint].bus) {
                     state = reply.state.or(state);
                     if let Some(q) = reply.position {
                         path.push((tick as f64 * period_s, f64::from(q)));
@@ -227,10 +218,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 self.player.controller.receive(bus, &frame);
             }
             if let Some(DriveState::Fault(code)) = state {
-                return Err(BusError::Mistake(
-                    joint,
-                    format!("the drive reports fault {code:#x}"),
-                ));
+                let problem = format!("the drive reports fault {code:#x}");
+                return Err(BusError::Mistake(joint, problem));
             }
             if travel(&path).abs() > until.1 {
                 break;
@@ -241,20 +230,17 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 if tick < 3 && torque_nm.is_nan() {
                     entry.drive.order(Order::Enable, &mut frames);
                 } else {
-                    let command = JointCommand {
+                    let mut command = JointCommand {
                         position: here[index],
-                        torque: if held || torque_nm.is_nan() {
-                            0.0
-                        } else {
-                            torque_nm as f32
-                        },
-                        kp: if held { 0.1 * entry.kp } else { 0.0 },
-                        kd: if held { 0.1 * entry.kd } else { 0.0 },
                         ..JointCommand::default()
                     };
-                    entry
-                        .drive
-                        .command(&command, &mut carries[index], &mut frames);
+                    if held {
+                        (command.kp, command.kd) = (0.1 * entry.kp, 0.1 * entry.kd);
+                    } else if !torque_nm.is_nan() {
+                        command.torque = torque_nm as f32;
+                    }
+                    let carry = &mut carries[index];
+                    entry.drive.command(&command, carry, &mut frames);
                 }
                 for frame in &frames {
                     self.player.network.send(entry.bus, frame)?;

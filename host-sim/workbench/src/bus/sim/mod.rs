@@ -5,15 +5,13 @@
 //! held by its brakes.
 
 mod drive;
-mod faults;
 
-pub use drive::{COMMUNICATION_LOST, DRIVE_PERIOD_S, DriveTruth, SimulatedDrive};
-pub use faults::{LineFault, TimedFault};
+pub use drive::{DriveTruth, LineFault, SimulatedDrive, TimedFault};
 
-use super::{Ask, BusError, Network};
-use super::{BitRates, frame_time_s};
+use super::{Ask, BitRates, BusError, Network, frame_time_s};
 use crate::dynamics::Joints;
 use crate::plant::{Events, Payload, Plant, PlantConfig};
+use drive::DRIVE_PERIOD_S;
 use foretorque_link::bus::BusConfig;
 use foretorque_link::drives::{DriveState, Frame};
 use rand::SeedableRng;
@@ -173,13 +171,13 @@ impl<const N: usize> SimulatedNetwork<N> {
     }
 
     fn reach_drives(&mut self, bus: usize, frame: &Frame) {
-        let now_s = self.t_s();
-        if self.fault.bus_is_off(bus, now_s) {
+        if self.bus_is_off(bus) {
             return;
         }
-        let q = *self.plant.q();
+        let (q, now_s) = (*self.plant.q(), self.t_s());
         for j in 0..N {
-            if usize::from(self.drives[j].truth.bus) != bus || self.fault.is_dead(j, now_s) {
+            let is_dead = self.fault.active(now_s) == Some(LineFault::Dead(j));
+            if usize::from(self.drives[j].truth.bus) != bus || is_dead {
                 continue;
             }
             let copies = self.fault.command_copies(j, now_s, &mut self.random);
@@ -193,13 +191,17 @@ impl<const N: usize> SimulatedNetwork<N> {
     }
 
     fn reach_host(&mut self, bus: usize, joint: usize, frame: Frame) {
-        let now_s = self.t_s();
-        if self.fault.bus_is_off(bus, now_s) {
+        if self.bus_is_off(bus) {
             return;
         }
+        let now_s = self.t_s();
         let arrived = self.fault.reply(joint, frame, now_s, &mut self.random);
-        self.inbox
-            .extend(arrived.into_iter().map(|frame| (bus as u8, frame)));
+        let arrived = arrived.into_iter().map(|frame| (bus as u8, frame));
+        self.inbox.extend(arrived);
+    }
+
+    fn bus_is_off(&self, bus: usize) -> bool {
+        self.fault.active(self.t_s()) == Some(LineFault::BusOff(bus))
     }
 }
 
@@ -236,7 +238,7 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
     }
 
     fn is_off(&self) -> bool {
-        (0..self.lines.len()).any(|bus| self.fault.bus_is_off(bus, self.t_s()))
+        (0..self.lines.len()).any(|bus| self.bus_is_off(bus))
     }
 
     fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {

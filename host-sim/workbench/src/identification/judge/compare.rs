@@ -5,6 +5,7 @@ use super::{
     SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
 };
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
+use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;
 use nalgebra::{DMatrix, DVector};
 
@@ -29,13 +30,13 @@ struct Explained {
 
 /// Torque of the links of the description and gravity at every row.
 fn links(model: &RigidBodies, states: &[Motion]) -> Vec<[PerJoint<f64>; 2]> {
-    let of = |state: &Motion| {
+    let torques = |state: &Motion| {
         [
             model.inverse_dynamics(state),
             model.gravity_torques(&state.q),
         ]
     };
-    states.iter().map(of).collect()
+    states.iter().map(torques).collect()
 }
 
 fn explain(
@@ -47,12 +48,11 @@ fn explain(
 ) -> Explained {
     const COLUMNS: usize = 5;
     let count = states.len();
-    let width = f64::from(foretorque::dynamics::SIGN_WIDTH);
     let x = DMatrix::from_fn(count, COLUMNS, |row, column| {
         let state = &states[row];
         match column {
             0 => links[row][0][joint],
-            1 => (state.qd[joint] / (5.0 * width)).tanh(),
+            1 => (state.qd[joint] / (5.0 * SIGN_WIDTH_RAD_S)).tanh(),
             2 => state.qd[joint],
             3 => state.qdd[joint],
             _ => 1.0,
@@ -186,12 +186,10 @@ pub(super) fn compare(
         let friction = &robot.joints[joint].friction;
         let moved = states
             .iter()
-            .filter(|state| state.qd[joint].abs() > MOVED.0)
-            .count();
-        if friction.coulomb <= 0.0 || !sound(joint) || moved * 10 < states.len() {
+            .filter(|state| state.qd[joint].abs() > MOVED.0);
+        if friction.coulomb <= 0.0 || !sound(joint) || moved.count() * 10 < states.len() {
             continue;
         }
-        let width = f64::from(foretorque::dynamics::SIGN_WIDTH);
         // Where the description has no rotor, its inertia is unknown.
         let rotor = match robot.joints[joint].drive.rotor_inertia {
             0.0 => own[joint].rotor.0.max(0.0),
@@ -199,7 +197,10 @@ pub(super) fn compare(
         };
         let described = states.iter().zip(&of_links).map(|(state, links)| {
             let (qd, rotor) = (state.qd[joint], rotor * state.qdd[joint]);
-            links[0][joint] + rotor + friction.coulomb * (qd / width).tanh() + friction.viscous * qd
+            links[0][joint]
+                + rotor
+                + friction.coulomb * (qd / SIGN_WIDTH_RAD_S).tanh()
+                + friction.viscous * qd
         });
         let described = described.map(|tau| tau * tau).sum::<f64>() / states.len() as f64;
         let size = (seen.power / f64::max(seen.rows, 1.0) / described).sqrt();
@@ -299,19 +300,12 @@ fn order(
                 _ if joint == b => a,
                 _ => joint,
             };
-            let moved: Vec<Motion> = states
-                .iter()
-                .map(|state| {
-                    let swapped = |values: &PerJoint<f64>| {
-                        PerJoint::from_fn(values.len(), |joint| values[swap(joint)])
-                    };
-                    Motion {
-                        q: swapped(&state.q),
-                        qd: swapped(&state.qd),
-                        qdd: swapped(&state.qdd),
-                    }
-                })
-                .collect();
+            let moved = states.iter().map(|state| {
+                let [q, qd, qdd] = [state.q, state.qd, state.qdd]
+                    .map(|own| PerJoint::from_fn(own.len(), |joint| own[swap(joint)]));
+                Motion { q, qd, qdd }
+            });
+            let moved: Vec<Motion> = moved.collect();
             let of_moved = links(model, &moved);
             for (what, found) in [
                 ("torques", all(&states, &of_links, &swap)),

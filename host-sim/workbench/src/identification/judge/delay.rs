@@ -47,7 +47,7 @@ struct Sums {
 }
 
 /// Rows between two delays that are tried.
-pub(super) fn step_rows(period_s: f64) -> usize {
+fn step_rows(period_s: f64) -> usize {
     ((LONGEST_S / TRIED as f64 / period_s).round() as usize).max(1)
 }
 
@@ -122,10 +122,8 @@ impl Sums {
 
     /// Squares that the best parameters leave at every delay, and the number of averages beyond that of the columns.
     fn rests(&self) -> Option<(DVector<f64>, f64)> {
-        let size = self
-            .gram
-            .diagonal()
-            .map(|square| 1.0 / f64::max(square, f64::MIN_POSITIVE).sqrt());
+        let reciprocal = |square| 1.0 / f64::max(square, f64::MIN_POSITIVE).sqrt();
+        let size = self.gram.diagonal().map(reciprocal);
         let inverse = scaled(&self.gram, &size).pseudo_inverse(1e-8).ok()?;
         let rests = DVector::from_fn(self.powers.len(), |delay, _| {
             let moment = self.moments.column(delay).component_mul(&size);

@@ -27,22 +27,16 @@ pub(in crate::identification) fn after_fit(
             "a payload of {mass:.2} ± {deviation:.2} kg at the flange explains what the description does not: add it to the description or take it off"
         ));
     }
-    let deviations = fit
-        .covariance
-        .diagonal()
-        .map(|variance| ANALYTIC * variance.max(0.0).sqrt());
+    let deviation = |variance: f64| ANALYTIC * variance.max(0.0).sqrt();
+    let deviations = fit.covariance.diagonal().map(deviation);
     for (place, parameter) in layout.parameters.iter().enumerate() {
         let is_plain = parameter.friction.is_some_and(|(term, _)| term.is_plain());
         let is_rotor = parameter.name.starts_with("Ia");
         let value = fit.theta[place];
         if (is_plain || is_rotor) && value < -DEVIATIONS * deviations[place] {
-            judgement.find(
-                false,
-                format!(
-                    "{} is {value:.4} {}: no arm has it below zero",
-                    parameter.name, parameter.unit
-                ),
-            );
+            let (name, unit) = (&parameter.name, parameter.unit);
+            let text = format!("{name} is {value:.4} {unit}: no arm has it below zero");
+            judgement.find(false, text);
         }
     }
 }

@@ -11,21 +11,19 @@ pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
-use super::clock::GAP_PERIODS;
-use super::columns::Layout;
+use super::columns::{ColumnSet, Layout};
 use super::dataset::Thinned;
-use super::log::Roughness;
+use super::log::{LogRow, Roughness};
 use super::normal::NormalEquations;
 use super::prepare::{PrepareConfig, other_unit_of_time};
 use super::stream::for_each_prepared;
-use super::terms::ColumnSet;
-use super::whole_log::WholeLog;
+use super::whole_log::{GAP_PERIODS, WholeLog};
 use crate::dynamics::PerJoint;
-use crate::robot::Robot;
+use crate::robot::{Joint, Robot};
 use compare::compare;
 use delay::{Delay, delay};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Most rows that are compared with the description.
 const ROWS: usize = 1199;
@@ -224,14 +222,10 @@ impl Extremes {
 }
 
 /// Ranges of a log as it is, and the time between its rows, s.
-fn scan(
-    path: &std::path::Path,
-    robot: &Robot,
-    extremes: &mut [Extremes],
-) -> Result<f64, IdentifyError> {
+fn scan(path: &Path, robot: &Robot, extremes: &mut [Extremes]) -> Result<f64, IdentifyError> {
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
-    let mut last: Vec<super::log::LogRow> = Vec::new();
+    let mut last: Vec<LogRow> = Vec::new();
     let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
     rough.for_each(Roughness::pause);
     while let Some(row) = log.next_row()? {
@@ -253,8 +247,8 @@ fn scan(
                 sums.power += tau * tau;
                 sums.rows += 1.0;
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
-                sums.spikes += f64::from(u8::from(jumps > (0.2 * limit).powi(2)));
-                sums.at_top += f64::from(u8::from(tau.abs() >= 0.995 * limit));
+                sums.spikes += f64::from(jumps > (0.2 * limit).powi(2));
+                sums.at_top += f64::from(tau.abs() >= 0.995 * limit);
             }
         }
         if last.len() == 2 {
@@ -269,22 +263,18 @@ fn scan(
 fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
     let joints = || robot.joints.iter().zip(extremes).enumerate();
     let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough));
-    let range = |joint: &crate::robot::Joint| {
-        let (low, high) = joint.limits.position;
-        low.abs().max(high.abs())
-    };
-    let fits = |joint: &crate::robot::Joint, seen: &Extremes| seen.torque <= 1.1 * range(joint);
+    let most = |(low, high): (f64, f64)| low.abs().max(high.abs());
     let far = joints().find(|(_, (joint, seen))| {
-        let most = seen.position.0.abs().max(seen.position.1.abs());
-        most > BEYOND * range(joint) || seen.speed > BEYOND * joint.limits.velocity
+        let beyond = most(seen.position) > BEYOND * most(joint.limits.position);
+        beyond || seen.speed > BEYOND * joint.limits.velocity
     });
+    let fits = |joint: &Joint, seen: &Extremes| seen.torque <= 1.1 * most(joint.limits.position);
     let many = swapped && joints().all(|(_, (joint, seen))| fits(joint, seen));
     if let Some((number, (joint, seen))) = far {
         let text = if many {
             "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
         } else {
-            let most = seen.position.0.abs().max(seen.position.1.abs());
-            let (low, high) = joint.limits.position;
+            let (most, (low, high)) = (most(seen.position), joint.limits.position);
             format!(
                 "q{} reaches {most:.4} rad at {:.4} rad/s, its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg)?",
                 number + 1,
@@ -296,10 +286,8 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         return;
     }
     if swapped {
-        judgement.find(
-            true,
-            "positions and torques are swapped: the torque is the smoother of the two",
-        );
+        let text = "positions and torques are swapped: the torque is the smoother of the two";
+        judgement.find(true, text);
         return;
     }
     let strong: Vec<_> = joints()

@@ -189,9 +189,8 @@ impl<const N: usize> Health<N> {
     /// Learning up to the end of the run.
     pub(super) fn learnt(&self) -> LearntRecord {
         let last = self.changes.len().saturating_sub(LAST_S as usize);
-        let (sum, ticks) = self.changes[last..]
-            .iter()
-            .fold((0.0, 0), |(sum, ticks), (s, t)| (sum + s, ticks + t));
+        let seconds = self.changes[last..].iter();
+        let (sum, ticks) = seconds.fold((0.0, 0), |(sum, ticks), (s, t)| (sum + s, ticks + t));
         LearntRecord {
             change_percent: 100.0 * (sum / ticks.max(1) as f64).sqrt(),
             ..self.learnt.clone()
@@ -204,13 +203,11 @@ impl<const N: usize> Health<N> {
         let long = |ticks: usize| share(ticks) > TOLERATED;
         let percent = |ticks: usize| format!("{:.0} % of the run", 100.0 * share(ticks));
         let mut troubles = Vec::new();
+        let unarmed = percent(self.unarmed);
         if let Some(latched) = &self.latched {
-            troubles.push(format!(
-                "board {latched}, without torque for {}",
-                percent(self.unarmed)
-            ));
+            troubles.push(format!("board {latched}, without torque for {unarmed}"));
         } else if long(self.unarmed) {
-            troubles.push(format!("board not armed for {}", percent(self.unarmed)));
+            troubles.push(format!("board not armed for {unarmed}"));
         }
         for j in (0..N).filter(|&j| long(self.saturated[j])) {
             let ticks = percent(self.saturated[j]);
@@ -220,18 +217,14 @@ impl<const N: usize> Health<N> {
             for j in 0..N {
                 let (asked, moved) = (high[j] - low[j], most[j] - least[j]);
                 if asked > ASKED_RAD && moved < MOVED_SHARE * asked {
-                    troubles.push(format!(
-                        "joint {} hardly moved: {moved:.3} rad of {asked:.3} rad",
-                        j + 1
-                    ));
+                    let (joint, way) = (j + 1, format!("{moved:.3} rad of {asked:.3} rad"));
+                    troubles.push(format!("joint {joint} hardly moved: {way}"));
                 }
             }
         }
         if long(self.clipped) {
-            troubles.push(format!(
-                "learnt torque clipped for {}",
-                percent(self.clipped)
-            ));
+            let ticks = percent(self.clipped);
+            troubles.push(format!("learnt torque clipped for {ticks}"));
         }
         troubles
     }

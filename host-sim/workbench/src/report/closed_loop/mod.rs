@@ -17,7 +17,7 @@ use foretorque_link::store::StoreHealth;
 use foretorque_link::telemetry::{Cost, Statistics};
 use foretorque_link::wire::TelemetryFrame;
 use health::Health;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use std::collections::BTreeMap;
 
 /// Points a curve keeps.
@@ -118,60 +118,47 @@ impl From<Cost> for BoardCost {
     }
 }
 
-/// Counters of the link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct LinkReport {
-    /// Good frames received.
-    pub frames: u32,
-    /// Frames with a wrong checksum.
-    pub crc_errors: u32,
-    /// Frames cut short or too long.
-    pub framing_errors: u32,
-    /// Frames of another protocol version.
-    pub foreign_version: u32,
-    /// Frames with no known message.
-    pub unknown: u32,
-    /// Sequence numbers that never came.
-    pub missed: u32,
-    /// Frames that came twice or late.
-    pub repeated: u32,
-    /// Missed deadlines and receive overruns.
-    pub overruns: u32,
-}
+/// Counters of the link: key in `report.json`, name on the page, count; good frames first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkReport([(&'static str, &'static str, u32); 8]);
 
 impl From<&Statistics> for LinkReport {
     fn from(counted: &Statistics) -> Self {
-        Self {
-            frames: counted.frames,
-            crc_errors: counted.crc_errors,
-            framing_errors: counted.framing_errors,
-            foreign_version: counted.foreign_version,
-            unknown: counted.unknown,
-            missed: counted.missed,
-            repeated: counted.repeated,
-            overruns: counted.overruns,
-        }
+        Self([
+            ("frames", "good frames", counted.frames),
+            ("crc_errors", "wrong checksum", counted.crc_errors),
+            (
+                "framing_errors",
+                "cut short or too long",
+                counted.framing_errors,
+            ),
+            (
+                "foreign_version",
+                "other protocol version",
+                counted.foreign_version,
+            ),
+            ("unknown", "unknown message", counted.unknown),
+            ("missed", "missing", counted.missed),
+            ("repeated", "repeated or late", counted.repeated),
+            (
+                "overruns",
+                "missed deadlines and overruns",
+                counted.overruns,
+            ),
+        ])
+    }
+}
+
+impl Serialize for LinkReport {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(key, _, count)| (key, count)))
     }
 }
 
 impl LinkReport {
-    /// The counts with their names, good frames first.
-    pub fn counts(&self) -> [(&'static str, u32); 8] {
-        [
-            ("good frames", self.frames),
-            ("wrong checksum", self.crc_errors),
-            ("cut short or too long", self.framing_errors),
-            ("other protocol version", self.foreign_version),
-            ("unknown message", self.unknown),
-            ("missing", self.missed),
-            ("repeated or late", self.repeated),
-            ("missed deadlines and overruns", self.overruns),
-        ]
-    }
-
     /// Everything that is not a good frame.
     pub fn errors(&self) -> u32 {
-        self.counts()[1..].iter().map(|(_, count)| count).sum()
+        self.0[1..].iter().map(|(_, _, count)| count).sum()
     }
 }
 

@@ -129,12 +129,15 @@ fn tables(report: &ClosedLoopReport, command: &str) -> [Section; 5] {
             format!("{percent:.2} %"),
         ]
     });
-    let late = ("late learnt sets", report.late_sets);
-    let lost = (
-        "learning samples without buffer",
-        report.learning_samples_lost,
-    );
-    let counts = report.link.counts().into_iter().chain([late, lost]);
+    let learning = [
+        ("late learnt sets", report.late_sets),
+        (
+            "learning samples without buffer",
+            report.learning_samples_lost,
+        ),
+    ];
+    let link = report.link.0.map(|(_, name, count)| (name, count));
+    let counts = link.into_iter().chain(learning);
     let costs = [
         ("tick", report.tick_cost),
         ("learning from a tick", report.learning_cost),

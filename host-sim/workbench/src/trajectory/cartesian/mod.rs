@@ -1,16 +1,18 @@
 //! Paths of the tool: a small file of lines, circles and via points, laid out as joint motion by inverse kinematics.
 //!
-//! `file` (text → moves) → `Curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
+//! `parse` (text → moves) → `Curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
 //! and accelerations tick by tick, every limit checked).
 
-mod file;
 mod plan;
 
+pub use plan::plan;
+
+use super::via::ViaPath;
+use crate::Refusal;
 use crate::kinematics::{Twist, rotation_vector, stacked};
 use crate::robot::Placement;
-use crate::trajectory::via::ViaPath;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3, Vector6};
-pub use plan::plan;
+use serde::Deserialize;
 
 /// A move may turn the tool this far from where it started, rad: half a turn has two ways round.
 const MOST_TURN: f64 = 3.0;
@@ -60,10 +62,6 @@ fn step(from: &Placement, to: &Placement) -> Result<Vector6<f64>, &'static str> 
 
 /// Errors of a shape: what makes it none.
 impl Shape {
-    fn line(from: &Placement, to: &Placement) -> Result<Self, &'static str> {
-        Ok(Self::Line(step(from, to)?))
-    }
-
     fn circle(
         from: &Placement,
         centre: Vector3<f64>,
@@ -99,7 +97,6 @@ impl Shape {
 }
 
 impl Curve {
-    /// Pose at the end.
     fn end(&self) -> Placement {
         self.at(self.duration_s).pose
     }
@@ -128,15 +125,12 @@ impl Curve {
                 let turned = Rotation3::from_axis_angle(&Unit::new_unchecked(*axis), turn * share);
                 let arm = turned * arm;
                 let (omega, alpha) = (axis * (turn * speed), axis * (turn * rise));
-                let (v, a) = (
-                    omega.cross(&arm),
-                    alpha.cross(&arm) + omega.cross(&omega.cross(&arm)),
-                );
-                let still = Vector3::zeros();
-                let (rot, omega, alpha) = if *carry {
-                    (turned.matrix() * self.from.rot_parent_child, omega, alpha)
-                } else {
-                    (self.from.rot_parent_child, still, still)
+                let v = omega.cross(&arm);
+                let a = alpha.cross(&arm) + omega.cross(&omega.cross(&arm));
+                let (still, rot) = (Vector3::zeros(), self.from.rot_parent_child);
+                let (rot, omega, alpha) = match carry {
+                    true => (turned.matrix() * rot, omega, alpha),
+                    false => (rot, still, still),
                 };
                 Point {
                     pose: Placement {
@@ -211,6 +205,179 @@ fn rates(
         + phi.cross(&phi.cross(phid)) * (dc * turn)
         + phid.cross(&phi.cross(phid)) * c;
     (omega, apply(phidd) + drift)
+}
+
+/// The file of a path: TOML, units in the names of the fields. `docs/identification.md` describes the format.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PathFile {
+    tool: Option<PoseFile>,
+    near_q_rad: Option<Vec<f64>>,
+    start: PoseFile,
+    #[serde(rename = "move")]
+    moves: Vec<MoveFile>,
+}
+
+/// Origin, and roll–pitch–yaw about fixed axes, `R = Rz(yaw) Ry(pitch) Rx(roll)`; without angles as before.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseFile {
+    xyz_m: [f64; 3],
+    rpy_rad: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MoveFile {
+    duration_s: f64,
+    line: Option<PoseFile>,
+    circle: Option<CircleFile>,
+    via: Option<Vec<PoseFile>>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CircleFile {
+    centre_m: [f64; 3],
+    normal: [f64; 3],
+    turn_rad: f64,
+    #[serde(default)]
+    carry: bool,
+}
+
+/// A path in the file's terms.
+#[derive(Clone, Debug, PartialEq)]
+struct Path {
+    /// The tool's tip in the flange.
+    tool: Placement,
+    /// Joint positions, rad, near the solution of the start.
+    near_q: Option<Vec<f64>>,
+    start: Placement,
+    moves: Vec<Move>,
+}
+
+/// One move from where the last one ended, from rest to rest.
+#[derive(Clone, Debug, PartialEq)]
+struct Move {
+    /// Its kind in the file.
+    kind: &'static str,
+    /// Points of the file on its way.
+    points: Vec<Placement>,
+    curve: Curve,
+}
+
+/// Longest move, s: an hour of ticks is 3.6 million rows.
+const LONGEST_S: f64 = 3600.0;
+
+/// Reads and checks a path.
+fn parse(text: &str) -> Result<Path, Refusal> {
+    let raw: PathFile = toml::from_str(text).map_err(|error| {
+        let (line, reason) = crate::files::toml_complaint(text, &error);
+        Refusal(format!("line {line}: {reason}"))
+    })?;
+    let tool = match raw.tool {
+        Some(pose) => pose.placed("tool", &Placement::identity())?,
+        None => Placement::identity(),
+    };
+    let start = raw.start.placed("start", &Placement::identity())?;
+    if raw.start.rpy_rad.is_none() {
+        return Err(Refusal::of("start.rpy_rad", "is missing"));
+    }
+    if let Some(near) = &raw.near_q_rad {
+        finite("near_q_rad", near)?;
+    }
+    if raw.moves.is_empty() {
+        return Err(Refusal::of("move", "there is none"));
+    }
+    let mut moves = Vec::with_capacity(raw.moves.len());
+    let mut pose = start;
+    for (index, given) in raw.moves.iter().enumerate() {
+        let at = format!("move[{}]", index + 1);
+        let from = pose;
+        let duration_s = given.duration_s;
+        if !(duration_s > 0.0 && duration_s <= LONGEST_S) {
+            let problem = format!("is {duration_s}, must be above 0 and at most {LONGEST_S}");
+            return Err(Refusal::of(at + ".duration_s", problem));
+        }
+        let (kind, points, shape) = match (&given.line, &given.circle, &given.via) {
+            (Some(end), None, None) => {
+                let end = end.placed(&format!("{at}.line"), &from)?;
+                ("line", Vec::new(), step(&from, &end).map(Shape::Line))
+            }
+            (None, Some(circle), None) => {
+                circle.check(&format!("{at}.circle"))?;
+                ("circle", Vec::new(), circle.shape(&from))
+            }
+            (None, None, Some(points)) => {
+                let mut placed: Vec<Placement> = Vec::with_capacity(points.len());
+                for (number, point) in points.iter().enumerate() {
+                    let at = format!("{at}.via[{}]", number + 1);
+                    let point = point.placed(&at, placed.last().unwrap_or(&from))?;
+                    placed.push(point);
+                }
+                let shape = Shape::via(&from, &placed, duration_s);
+                ("via", placed, shape)
+            }
+            _ => return Err(Refusal::of(at, "give exactly one of line, circle, via")),
+        };
+        let shape = shape.map_err(|problem| Refusal::of(format!("{at}.{kind}"), problem))?;
+        let curve = Curve {
+            from,
+            duration_s,
+            shape,
+        };
+        pose = curve.end();
+        moves.push(Move {
+            kind,
+            points,
+            curve,
+        });
+    }
+    Ok(Path {
+        tool,
+        near_q: raw.near_q_rad,
+        start,
+        moves,
+    })
+}
+
+impl PoseFile {
+    /// The pose; its orientation is that of `before` where it gives none.
+    fn placed(&self, at: &str, before: &Placement) -> Result<Placement, Refusal> {
+        finite(&format!("{at}.xyz_m"), &self.xyz_m)?;
+        let rpy = self.rpy_rad.unwrap_or_default();
+        finite(&format!("{at}.rpy_rad"), &rpy)?;
+        let mut pose = Placement::from_xyz_rpy(self.xyz_m.into(), rpy.into());
+        if self.rpy_rad.is_none() {
+            pose.rot_parent_child = before.rot_parent_child;
+        }
+        Ok(pose)
+    }
+}
+
+impl CircleFile {
+    fn check(&self, at: &str) -> Result<(), Refusal> {
+        finite(&format!("{at}.centre_m"), &self.centre_m)?;
+        finite(&format!("{at}.normal"), &self.normal)?;
+        finite(&format!("{at}.turn_rad"), &[self.turn_rad])?;
+        if Vector3::from(self.normal).norm() < 1e-6 {
+            return Err(Refusal::of(format!("{at}.normal"), "has no direction"));
+        }
+        Ok(())
+    }
+
+    /// The circle from the pose `from` on.
+    fn shape(&self, from: &Placement) -> Result<Shape, &'static str> {
+        let axis = Vector3::from(self.normal).normalize();
+        Shape::circle(from, self.centre_m.into(), axis, self.turn_rad, self.carry)
+    }
+}
+
+fn finite(name: &str, values: &[f64]) -> Result<(), Refusal> {
+    match values.iter().all(|value| value.is_finite()) {
+        true => Ok(()),
+        false => Err(Refusal::of(name, "is not a finite number")),
+    }
 }
 
 #[cfg(test)]

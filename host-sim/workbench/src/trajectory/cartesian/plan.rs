@@ -1,7 +1,6 @@
 //! From moves of the tool to motion of the joints, tick by tick.
 
-use super::Point;
-use super::file::{self, Move, Path};
+use super::{Move, Path, Point, parse};
 use crate::Refusal;
 use crate::dynamics::{Joints, State};
 use crate::kinematics::Inverse;
@@ -23,7 +22,7 @@ pub fn plan<const N: usize>(
     text: &str,
     period_s: f64,
 ) -> Result<Vec<(f64, State<N>)>, Refusal> {
-    let path = file::parse(text)?;
+    let path = parse(text)?;
     let inverse = Inverse::<N>::new(robot, &path.tool)
         .ok_or_else(|| Refusal(format!("the robot has not {N} joints")))?;
     let near = near(robot, &path)?;
@@ -162,7 +161,7 @@ mod tests {
 
     #[test]
     fn the_tool_follows_lines_circles_and_via_points() {
-        let path = file::parse(PATH).expect("parses");
+        let path = parse(PATH).expect("parses");
         is_followed::<6>(&ur5(), PATH, &path);
     }
 
@@ -172,14 +171,14 @@ mod tests {
             .replace("near_q_rad = [0.0, -1.2, 1.6, -2.0, -1.57, 0.0]", "")
             .replace("-0.4", "0.4")
             .replace("-0.5", "0.5");
-        let path = file::parse(&text).expect("parses");
+        let path = parse(&text).expect("parses");
         let panda = Robot::load("panda").expect("built in");
         is_followed::<7>(&panda, &text, &path);
     }
 
     #[test]
     fn a_circle_keeps_its_radius_and_carries_the_tool_when_asked() {
-        let path = file::parse(&PATH.replace("carry = false", "carry = true")).expect("parses");
+        let path = parse(&PATH.replace("carry = false", "carry = true")).expect("parses");
         let curve = &path.moves[1].curve;
         let centre = Vector3::new(-0.45, 0.15, 0.3);
         for k in 0..=100 {

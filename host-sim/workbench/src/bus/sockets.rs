@@ -1,14 +1,108 @@
-//! CAN frames over multicast, as python-can's interface `udp_multicast` sends them: one MessagePack map a datagram.
+//! CAN frames over sockets: interfaces of Linux, and multicast groups as python-can's interface `udp_multicast` uses them.
 
 use super::{Line, frame_of};
 use foretorque_link::drives::Frame;
 use rmpv::Value;
 use socket2::{Domain, Protocol, Socket, Type};
+use socketcan::{
+    CanAnyFrame, CanError, CanFdFrame, CanFdSocket, CanFrame, EmbeddedFrame, ExtendedId, Id,
+    Socket as _, SocketOptions, StandardId,
+};
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 
+/// An interface such as `can0`, with CAN-FD where it has it.
+pub(super) struct SocketCan {
+    socket: CanFdSocket,
+    name: String,
+    off: bool,
+}
+
+impl SocketCan {
+    /// Opens interface `name`.
+    ///
+    /// Errors: no such interface, one that is down, a kernel without CAN.
+    pub(super) fn open(name: &str) -> io::Result<Self> {
+        let socket = CanFdSocket::open(name)?;
+        socket.set_nonblocking(true)?;
+        // Without error frames the end of the bus shows as silence.
+        let _ = socket.set_error_filter_accept_all();
+        Ok(Self {
+            socket,
+            name: name.to_owned(),
+            off: false,
+        })
+    }
+}
+
+fn identifier(frame: &Frame) -> Option<Id> {
+    if frame.extended {
+        ExtendedId::new(frame.id).map(Id::Extended)
+    } else {
+        StandardId::new(frame.id as u16).map(Id::Standard)
+    }
+}
+
+fn taken(id: Id, bytes: &[u8]) -> Frame {
+    match id {
+        Id::Standard(id) => Frame::standard(id.as_raw().into(), bytes),
+        Id::Extended(id) => Frame::extended(id.as_raw(), bytes),
+    }
+}
+
+impl Line for SocketCan {
+    fn name(&self) -> String {
+        format!("socketcan:{}", self.name)
+    }
+
+    fn send(&mut self, frame: &Frame) -> io::Result<()> {
+        let made = identifier(frame).and_then(|id| {
+            if frame.fd {
+                let mut made = CanFdFrame::new(id, frame.bytes())?;
+                made.set_brs(true);
+                Some(CanAnyFrame::Fd(made))
+            } else if frame.remote {
+                CanFrame::new_remote(id, 0).map(CanAnyFrame::from)
+            } else {
+                CanFrame::new(id, frame.bytes()).map(CanAnyFrame::from)
+            }
+        });
+        let made = made.ok_or_else(|| io::Error::other("a frame that CAN cannot carry"))?;
+        match self.socket.write_frame(&made) {
+            // The queue of the interface is full: the frame is lost.
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
+            Err(error) if error.raw_os_error() == Some(nix::errno::Errno::ENOBUFS as i32) => Ok(()),
+            outcome => outcome,
+        }
+    }
+
+    fn receive(&mut self) -> io::Result<Option<Frame>> {
+        loop {
+            return match self.socket.read_frame() {
+                Ok(CanAnyFrame::Normal(frame)) => Ok(Some(taken(frame.id(), frame.data()))),
+                Ok(CanAnyFrame::Fd(frame)) => {
+                    let mut made = taken(frame.id(), frame.data());
+                    made.fd = true;
+                    Ok(Some(made))
+                }
+                Ok(CanAnyFrame::Remote(_)) => continue,
+                Ok(CanAnyFrame::Error(frame)) => {
+                    self.off |= CanError::from(frame).is_bus_off();
+                    continue;
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(None),
+                Err(error) => Err(error),
+            };
+        }
+    }
+
+    fn is_off(&self) -> bool {
+        self.off
+    }
+}
+
 /// Port of python-can.
-pub(super) const PORT: u16 = 43_113;
+const PORT: u16 = 43_113;
 
 /// A multicast group in the place of a bus.
 pub(super) struct UdpMulticast {
@@ -58,7 +152,7 @@ impl UdpMulticast {
     }
 }
 
-/// A frame as a datagram.
+/// A frame as a datagram: one MessagePack map.
 fn packed(frame: &Frame) -> io::Result<Vec<u8>> {
     let data = frame.bytes();
     let entry = |name: &str, value: Value| (Value::from(name), value);
@@ -130,6 +224,23 @@ impl Line for UdpMulticast {
 mod tests {
     use super::*;
     use std::time::{Duration, Instant};
+
+    #[test]
+    fn frames_pass_a_virtual_interface_where_there_is_one() {
+        let (Ok(mut one), Ok(mut other)) = (SocketCan::open("vcan0"), SocketCan::open("vcan0"))
+        else {
+            println!("skipped: no vcan0 on this machine");
+            return;
+        };
+        for frame in [
+            Frame::standard(1, &[1, 2]),
+            Frame::extended(0x8001, &[7; 8]),
+        ] {
+            one.send(&frame).expect("it is up");
+            let frames = std::iter::from_fn(|| other.receive().expect("it is up"));
+            assert_eq!(frames.last(), Some(frame));
+        }
+    }
 
     #[test]
     fn datagrams_bring_back_every_frame() {
