@@ -1,8 +1,12 @@
-//! From a name or a file to a robot; overlays, a TOML file with what a URDF or MJCF does not have.
+//! Overlays, TOML files with what a URDF or MJCF does not have; and robots as description files again.
 
-use super::{Drive, Friction, Limits, Robot, file, overlay};
+use super::file::{
+    self, CapsuleFile, DhFile, FrameFile, InertiaFile, JointFile, LinkFile, RobotFile,
+};
+use super::{Drive, Friction, Joint, Limits, Link, Placement, Robot};
 use crate::Refusal;
-use crate::urdf::{self, Import, Selection};
+use crate::urdf::{Import, Selection};
+use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use toml::{Table, Value};
@@ -186,77 +190,99 @@ fn put(whole: &mut Table, overlay: Table) {
     }
 }
 
-/// Descriptions that need no file, by name.
-const BUILT_IN: [(&str, &str); 2] = [
-    ("ur5", include_str!("../../../robots/ur5.toml")),
-    ("panda", include_str!("../../../robots/panda.urdf")),
-];
-
 impl Robot {
-    /// Names of the robots that need no file.
-    pub fn built_in() -> impl Iterator<Item = &'static str> {
-        BUILT_IN.iter().map(|(name, _)| *name)
-    }
-
-    /// A built-in robot by name, or a description or URDF file by path.
+    /// The description file of this robot, which [`Robot::parse`] reads back to rounding. Joints that came with a
+    /// Denavit–Hartenberg row keep it, and their links stand in its frame; all others are given by their joint frames.
     ///
-    /// Errors: a line that names the file and the field.
+    /// Errors: those of the serialiser.
     ///
     /// ```
-    /// let ur5 = foretorque_description::robot::Robot::load("ur5").unwrap();
-    /// assert_eq!(ur5.joints.len(), 6);
+    /// use foretorque_description::robot::Robot;
+    /// let ur5 = Robot::load("ur5").unwrap();
+    /// let again = Robot::parse("again", &ur5.to_toml().unwrap()).unwrap();
+    /// assert!((again.joints[2].link.com - ur5.joints[2].link.com).amax() < 1e-15);
     /// ```
-    pub fn load(name_or_path: &str) -> Result<Self, Refusal> {
-        let import = Self::load_selected(name_or_path, &Selection::default())?;
-        Ok(import.robot)
-    }
-
-    /// [`load`](Self::load) with the selection of a URDF's arm, and the notes of its reading.
-    ///
-    /// Errors: as there.
-    pub fn load_selected(name_or_path: &str, selection: &Selection<'_>) -> Result<Import, Refusal> {
-        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::parse_selected(name, text, selection);
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        let mut joints = Vec::with_capacity(self.joints.len());
+        let mut link_end = Placement::identity();
+        for joint in &self.joints {
+            let here = link_end.inverse().then(&joint.placement);
+            joints.push(joint_file(joint, &here));
+            link_end = joint.dh_frame.unwrap_or_else(Placement::identity);
         }
-        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
-            let known = Self::built_in().collect::<Vec<_>>().join(", ");
-            Refusal(format!(
-                "unknown robot '{name_or_path}': not one of [{known}], and as a file: {error}"
-            ))
-        })?;
-        Self::parse_selected(name_or_path, &text, selection)
-    }
-
-    /// A robot from the text of a description or of a URDF with a single arm; `file` is used in messages, and its directory
-    /// for files that the text names.
-    ///
-    /// Errors: a line that names the file and the field.
-    pub fn parse(file: &str, text: &str) -> Result<Self, Refusal> {
-        Ok(Self::parse_selected(file, text, &Selection::default())?.robot)
-    }
-
-    fn parse_selected(
-        file: &str,
-        text: &str,
-        selection: &Selection<'_>,
-    ) -> Result<Import, Refusal> {
-        // TOML never begins with '<', XML always does; the ending of its name decides for an empty file.
-        let named = Path::new(file).extension();
-        let is_xml =
-            named.is_some_and(|named| ["urdf", "xml", "xacro"].iter().any(|x| named == *x));
-        if is_xml || text.trim_start().starts_with('<') {
-            return urdf::parse(file, text, selection);
-        }
-        if let Some(import) = overlay::read(file, text, selection)? {
-            return Ok(import);
-        }
-        if *selection != Selection::default() {
-            let problem = "--base, --tip, --weld, --repair and --link-mass are for a URDF";
-            return Err(Refusal::of(file, problem));
-        }
-        Ok(Import {
-            robot: file::parse(file, text)?,
-            notes: Vec::new(),
+        let names: Vec<&str> = self
+            .joints
+            .iter()
+            .map(|joint| joint.name.as_str())
+            .collect();
+        let flange = link_end.inverse().then(&self.flange).snapped();
+        toml::to_string(&RobotFile {
+            name: self.name.clone(),
+            gravity_m_s2: self.gravity.into(),
+            link_names: self.link_names.clone(),
+            joints,
+            // Part of the last link by now.
+            tool: None,
+            flange: (flange != Placement::identity()).then(|| frame_file(&flange)),
+            coupling: self.coupling.as_ref().map(|coupling| coupling.file(&names)),
+            log_columns: self.log_columns.clone(),
+            workspace: self.workspace,
         })
+    }
+}
+
+/// * `here` joint frame in the end frame of the link before
+fn joint_file(joint: &Joint, here: &Placement) -> JointFile {
+    let end = joint.dh_frame.unwrap_or_else(Placement::identity);
+    let in_end = end.inverse();
+    let link = joint.link.placed(&in_end);
+    let capsule_end = |point: &Vector3<f64>| -> [f64; 3] { in_end.point(point).into() };
+    JointFile {
+        name: joint.name.clone(),
+        link_name: joint.link_name.clone(),
+        dh: joint.dh_frame.map(|end| DhFile {
+            d_m: here.origin.z,
+            a_m: end.origin.x,
+            alpha_rad: end.rot_parent_child.m32.atan2(end.rot_parent_child.m22),
+        }),
+        frame: joint.dh_frame.is_none().then(|| frame_file(here)),
+        link: link_file(&link),
+        drive: joint.drive,
+        friction: joint.friction,
+        limits: joint.limits,
+        capsules: joint
+            .capsules
+            .iter()
+            .map(|capsule| CapsuleFile {
+                from_m: capsule_end(&capsule.ends[0]),
+                to_m: capsule_end(&capsule.ends[1]),
+                radius_m: capsule.radius,
+            })
+            .collect(),
+    }
+}
+
+fn frame_file(frame: &Placement) -> FrameFile {
+    let (roll, pitch, yaw) =
+        Rotation3::from_matrix_unchecked(frame.rot_parent_child).euler_angles();
+    FrameFile {
+        xyz_m: frame.origin.into(),
+        rpy_rad: [roll, pitch, yaw],
+    }
+}
+
+fn link_file(link: &Link) -> LinkFile {
+    let i = &link.inertia_com;
+    LinkFile {
+        mass_kg: link.mass,
+        com_m: link.com.into(),
+        inertia_kg_m2: InertiaFile {
+            xx: i.m11,
+            yy: i.m22,
+            zz: i.m33,
+            xy: i.m12,
+            xz: i.m13,
+            yz: i.m23,
+        },
     }
 }
