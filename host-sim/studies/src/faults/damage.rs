@@ -9,7 +9,7 @@ const EARLY: u32 = 20;
 
 /// One way of spoiling a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Damage {
+pub(super) enum Damage {
     /// One to eight bits of the frame are turned.
     Flips,
     /// The frame ends early, with or without its delimiter.
@@ -41,12 +41,12 @@ const NAMES: [(Damage, &str); 8] = [
 
 impl Damage {
     /// All of them.
-    pub fn all() -> impl Iterator<Item = Self> {
+    pub(super) fn all() -> impl Iterator<Item = Self> {
         NAMES.iter().map(|(kind, _)| *kind)
     }
 
     /// Name in a report.
-    pub fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         let known = NAMES.iter().find(|(kind, _)| *kind == self);
         known.map_or("", |(_, name)| name)
     }

@@ -160,7 +160,7 @@ fn bytes_of(frames: Vec<Frame>) -> Vec<u8> {
 }
 
 /// Samples over a line that does `damage`.
-pub fn damaged_line(
+pub(super) fn damaged_line(
     transport: Box<dyn Transport>,
     damage: Damage,
     ticks: u32,
@@ -176,7 +176,7 @@ pub fn damaged_line(
 }
 
 /// Samples and motions with numbers that are none, are infinite, or are too small to be normal.
-pub fn strange_numbers(
+pub(super) fn strange_numbers(
     transport: Box<dyn Transport>,
     ticks: u32,
     seed: u64,
@@ -225,7 +225,7 @@ fn spoil(sample: &mut JointSample<JOINTS>, random: &mut ChaCha8Rng) {
 }
 
 /// Sound frames of other protocol versions, of another number of joints, and with unknown messages.
-pub fn foreign_frames(
+pub(super) fn foreign_frames(
     transport: Box<dyn Transport>,
     ticks: u32,
     seed: u64,

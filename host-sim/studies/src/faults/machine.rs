@@ -110,7 +110,7 @@ impl Trial {
 }
 
 /// `times` failures in a row of one firmware. A torque is wrong when the enable pin is not off before the restart.
-pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> io::Result<Campaign> {
+pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> io::Result<Campaign> {
     let mut campaign = Campaign::new(crash.name, "qemu (faults)");
     let mut trial = Trial::start(trace)?;
     trial.hello()?;
@@ -146,7 +146,7 @@ impl SimulatedWatchdog {
 
 /// `times` lives of a board in which one task, any of them, stops answering at some moment. The watchdog must bite, the
 /// board must come back disarmed with the reason, refuse to be armed until that was taken note of, and then work.
-pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
+pub(super) fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("watchdog bite", "native");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     for _ in 0..times {

@@ -21,7 +21,7 @@ use std::time::Duration;
 
 /// Fault of the time or of the line beside it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TimedFault {
+pub(super) enum TimedFault {
     /// Samples arrive at other times.
     Timing(Timing),
     /// Every period has its sample, and the line does damage.
@@ -30,14 +30,14 @@ pub enum TimedFault {
 
 impl TimedFault {
     /// All of them.
-    pub fn all() -> impl Iterator<Item = Self> {
+    pub(super) fn all() -> impl Iterator<Item = Self> {
         // In time, nothing is wrong.
         let timings = Timing::ALL.into_iter().skip(1).map(Self::Timing);
         timings.chain(Damage::all().map(Self::Damage))
     }
 
     /// Name in a report.
-    pub fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::Timing(Timing::Exact) => "samples in time",
             Self::Timing(Timing::Jitter) => "jitter",
@@ -194,7 +194,7 @@ impl Timeline {
 /// `ticks` periods of a board with a timer, whose samples suffer `fault`.
 ///
 /// Errors: the first limit of the arm that cannot work.
-pub fn timed(
+pub(super) fn timed(
     pacing: Pacing,
     fault: TimedFault,
     ticks: u32,

@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// How an upload fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BadUpload {
+pub(super) enum BadUpload {
     /// It stops before its end, with or without a commit.
     Interrupted,
     /// The board is reset in the middle of it.
@@ -43,12 +43,12 @@ const NAMES: [(BadUpload, &str); 6] = [
 
 impl BadUpload {
     /// All of them.
-    pub fn all() -> impl Iterator<Item = Self> {
+    pub(super) fn all() -> impl Iterator<Item = Self> {
         NAMES.iter().map(|(kind, _)| *kind)
     }
 
     /// Name in a report.
-    pub fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         let known = NAMES.iter().find(|(kind, _)| *kind == self);
         known.map_or("", |(_, name)| name)
     }
@@ -56,7 +56,7 @@ impl BadUpload {
 
 /// `times` uploads that fail, between sound ones. The reference gets the sound ones only: a set is lost when the bank in
 /// force is another one afterwards.
-pub fn bad_uploads(
+pub(super) fn bad_uploads(
     transport: Box<dyn Transport>,
     bad: BadUpload,
     times: u32,

@@ -10,8 +10,7 @@ mod page;
 mod rigid;
 mod steps;
 
-use crate::records::Records;
-use crate::{Outcome, Progress, StudyError};
+use crate::{Outcome, Progress, Records, StudyError};
 use cell::{Bench, ROWS};
 pub use cell::{Cell, CellRecord, FRICTIONS, FrictionKind, MethodDraw};
 use foretorque::arm::ur5::JOINTS;

@@ -1,7 +1,6 @@
 //! The excitation campaign: one search for every seed, every limit counted again on many points by independent code.
 
-use crate::records::Records;
-use crate::{Outcome, Progress, StudyError};
+use crate::{Outcome, Progress, Records, StudyError};
 use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::excitation::{Excitation, SearchConfig, optimise};
 use foretorque_workbench::report::page::{Page, Section};
