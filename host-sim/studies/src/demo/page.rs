@@ -1,8 +1,7 @@
 //! The page of the main job.
 
-use super::N;
 use super::long_run::WATCH_POINTS;
-use super::record::{DemoCurves, DemoReport, LearningPoint};
+use super::{DemoCurves, DemoReport, LearningPoint, N};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::excitation::page::{legend, panels};
 use foretorque_workbench::metrics::MOVING_RAD_S;

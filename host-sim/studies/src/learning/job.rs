@@ -1,7 +1,6 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
-use super::arms::WorldArm;
-use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN};
+use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::StudyError;
 use crate::bank_of;

@@ -2,8 +2,7 @@
 
 use super::cell::{FRICTIONS, FrictionKind};
 use super::findings::{of_times, percent};
-use super::rigid::Curves;
-use super::{Condition, PaperReport, Times};
+use super::{Condition, Curves, PaperReport, Times};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};
 use foretorque_workbench::report::page::{Legend, Page, Section, or_dash};

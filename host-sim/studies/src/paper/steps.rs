@@ -1,19 +1,18 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
+use super::Curves;
 use super::cell::ROWS;
-use super::rigid::Curves;
-use super::rigid::{RigidBody, Rows, Sample};
 use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
-use foretorque_workbench::dynamics::{Joints, Motion, PerJoint, State};
+use foretorque_workbench::dynamics::{Joints, Motion, PerJoint, ReferenceModel, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{ColumnSet, Layout};
 use foretorque_workbench::kinematics::Inverse;
 use foretorque_workbench::metrics::{TorqueError, root_mean};
-use foretorque_workbench::robot::{Placement, Robot};
+use foretorque_workbench::robot::{LINK_PARAMETERS, Placement, Robot};
 use foretorque_workbench::training::{BlackBox, Descent, LinearLayer, PhysicalConfig};
 use foretorque_workbench::trajectory::Trajectory;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -108,7 +107,12 @@ pub(super) fn run(
     let (data, poses, ik_error) = joint_sequence(robot, excitation, &model)?;
     let known = Known::new(&model, &data, arbitrary_path(robot, seed), seed);
     let [plain, fast] = [Descent::Plain, Descent::Accelerated].map(|way| known.physical(way, seed));
-    let network = BlackBox::train(&known.samples(), seed, &mut |_, _| ());
+    let samples: Vec<(Motion, PerJoint<f64>, PerJoint<bool>)> = known
+        .training
+        .iter()
+        .map(|(_, state, tau)| ((*state).into(), (*tau).into(), [true; JOINTS].into()))
+        .collect();
+    let network = BlackBox::train(&samples, seed, &mut |_, _| ());
     let trained = vec![
         known.linear("least squares", 1, &known.least_squares()?),
         known.linear("bp_physical, gradient descent (eq. 21)", plain.1, &plain.0),
@@ -200,13 +204,6 @@ impl<'m> Known<'m> {
         }
     }
 
-    /// The training rows as the black box takes them.
-    fn samples(&self) -> Vec<(Motion, PerJoint<f64>, PerJoint<bool>)> {
-        let rows = self.training.iter();
-        rows.map(|(_, state, tau)| ((*state).into(), (*tau).into(), [true; JOINTS].into()))
-            .collect()
-    }
-
     fn least_squares(&self) -> Result<DVector<f64>, StudyError> {
         let qr = self.rows.y.clone().qr();
         let moment = qr.q().tr_mul(&self.rows.tau);
@@ -242,12 +239,13 @@ impl<'m> Known<'m> {
     }
 
     fn linear(&self, name: &'static str, epochs: usize, theta: &DVector<f64>) -> Trained {
+        let truth = &self.model.truth;
         Trained {
             name,
             epochs,
             training_loss_ratio: self.rows.loss(theta),
             validation_loss_ratio: self.held.loss(theta),
-            base_parameter_error_ratio: Some(self.model.error_ratio(theta)),
+            base_parameter_error_ratio: Some((theta - truth).norm() / truth.norm()),
             path_nrmse_ratio: self.error_on_path(|state| self.model.torque(state, theta)),
         }
     }
@@ -332,5 +330,69 @@ fn joint_torque(path: &[(f64, State<JOINTS>, [Joints<JOINTS>; 3])], j: usize) ->
         bp_physical_peak_nm: peak(1),
         bp_black_box_rmse_nm: rms(&|tau| tau[2][j] - tau[0][j]),
         bp_black_box_peak_nm: peak(2),
+    }
+}
+
+/// Time, s, motion and torque, N·m.
+pub(super) type Sample = (f64, State<JOINTS>, Joints<JOINTS>);
+
+/// The linear rows of some states: every joint's rows over its RMS torque.
+struct Rows {
+    y: DMatrix<f64>,
+    tau: DVector<f64>,
+}
+
+impl Rows {
+    fn loss(&self, theta: &DVector<f64>) -> f64 {
+        ((&self.y * theta - &self.tau).norm_squared() / self.tau.len() as f64).sqrt()
+    }
+}
+
+/// The rigid body of the links alone, and the columns of its base parameters.
+struct RigidBody {
+    dynamics: ReferenceModel<JOINTS>,
+    columns: Vec<usize>,
+    truth: DVector<f64>,
+}
+
+impl RigidBody {
+    fn new(robot: &Robot) -> Option<Self> {
+        let mut links = robot.clone();
+        for joint in &mut links.joints {
+            joint.drive.rotor_inertia = 0.0;
+        }
+        let map = links.base_map();
+        let mut columns = map.columns.clone();
+        columns.retain(|column| *column < LINK_PARAMETERS * JOINTS);
+        // Rotors come last, and without them nothing of a rotor hides in a link's parameter.
+        let truth = map.base_parameters(&links);
+        Some(Self {
+            dynamics: ReferenceModel::new(&links)?,
+            truth: DVector::from_column_slice(&truth[..columns.len()]),
+            columns,
+        })
+    }
+
+    /// Columns of the base parameters at `state`, 6 × 36.
+    fn regressor(&self, state: &State<JOINTS>) -> DMatrix<f64> {
+        self.dynamics.regressor(state).select_columns(&self.columns)
+    }
+
+    fn rows(&self, data: &[Sample], scale: &Joints<JOINTS>) -> Rows {
+        let mut y = DMatrix::zeros(data.len() * JOINTS, self.columns.len());
+        let mut tau = DVector::zeros(data.len() * JOINTS);
+        for (k, (_, state, torque)) in data.iter().enumerate() {
+            let block = self.regressor(state);
+            for j in 0..JOINTS {
+                y.row_mut(k * JOINTS + j)
+                    .copy_from(&(block.row(j) / scale[j]));
+                tau[k * JOINTS + j] = torque[j] / scale[j];
+            }
+        }
+        Rows { y, tau }
+    }
+
+    fn torque(&self, state: &State<JOINTS>, theta: &DVector<f64>) -> Joints<JOINTS> {
+        Joints::from_column_slice((self.regressor(state) * theta).as_slice())
     }
 }
