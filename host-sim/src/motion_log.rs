@@ -175,7 +175,7 @@ impl<const N: usize> Quadratic<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::simulate::PERIOD_S;
+    use crate::simulate::PERIOD_S;
     use foretorque::joint::JointVector;
     use foretorque_workbench::dynamics::State;
     use foretorque_workbench::table::{StateReader, TimeColumn};

@@ -1,8 +1,7 @@
 use super::arm::{ArmOptions, with_rotors};
-use super::attended::{Attended, prompt};
 use super::boards::on_arm;
+use super::bus::{Attended, prompt, wired};
 use super::disturbances::triple;
-use super::drive::wired;
 use super::terminal::show;
 use super::{Failure, arguments as of, drive, excite, identify, positive, unsupported, unusable};
 use clap::{Args, ValueEnum};

@@ -23,8 +23,8 @@ pub(super) fn keep_stdout_for(out: &Path) {
 /// Writes a formatted line to stdout; see [`write_line`].
 macro_rules! show {
     ($($argument:tt)*) => {
-        $crate::commands::terminal::write_line(format_args!($($argument)*))
-            .map_err($crate::commands::Failure::from)
+        $crate::terminal::write_line(format_args!($($argument)*))
+            .map_err($crate::Failure::from)
     };
 }
 pub(super) use show;

@@ -147,9 +147,9 @@ macro_rules! on_arm {
             type $arm = foretorque_workbench::board::Described<$n, $p>;
             match <$arm>::read($robot) {
                 Some(_) => $work,
-                None => Err($crate::commands::unsupported($n)),
+                None => Err($crate::unsupported($n)),
             }
-        }, else Err($crate::commands::unsupported($robot.joint_count())))
+        }, else Err($crate::unsupported($robot.joint_count())))
     };
 }
 pub(super) use on_arm;

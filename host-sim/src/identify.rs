@@ -1,4 +1,5 @@
-use super::arm::{LogOptions, RobotOptions};
+use super::arm::RobotOptions;
+use super::logs::LogOptions;
 use super::terminal::Lines;
 use super::terminal::show;
 use super::{Failure, not_negative, positive, sound, unusable};

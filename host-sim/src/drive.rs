@@ -1,6 +1,6 @@
 use super::arm::{ArmOptions, with_rotors};
-use super::attended::Attended;
 use super::boards::on_arm;
+use super::bus::{Attended, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::Bar;
@@ -13,7 +13,7 @@ use foretorque::learning::ParameterSet;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_link::bus::BusConfig;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
-use foretorque_workbench::bus::{BusChoice, BusPlayer, Network, Profile, WiredNetwork, real_time};
+use foretorque_workbench::bus::{BusChoice, BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::{TickRecord, motion_f32};
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::files::write_whole;
@@ -117,15 +117,6 @@ impl Arguments {
         };
         drive.play(Box::new(drive.simulated()?), alone)
     }
-}
-
-/// The adapters of an arm, in a thread with real time priority where the system permits it; a note where it does not.
-pub(super) fn wired(bus: &BusChoice, profile: &Profile) -> Result<WiredNetwork, Failure> {
-    let lines = bus.open(profile.bus.len())?;
-    if let Err(reason) = real_time() {
-        show!("no priority of real time ({reason}): the ticks may come late")?;
-    }
-    Ok(WiredNetwork::new(lines, 1.0 / profile.rate_hz))
 }
 
 /// Parts of a run that do not depend on the bus.
