@@ -91,11 +91,8 @@ impl Link {
             return Some(*single);
         }
         let mass: f64 = parts.iter().map(|part| part.mass).sum();
-        let com = parts
-            .iter()
-            .map(|part| part.com * part.mass)
-            .sum::<Vector3<f64>>()
-            / mass;
+        let first: Vector3<f64> = parts.iter().map(|part| part.com * part.mass).sum();
+        let com = first / mass;
         let about_com = |part: &Self| {
             let d = part.com - com;
             part.inertia_com + part.mass * (d.dot(&d) * Matrix3::identity() - d * d.transpose())

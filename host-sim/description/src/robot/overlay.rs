@@ -50,13 +50,11 @@ impl Robot {
         selection: &Selection<'_>,
     ) -> Result<String, toml::ser::Error> {
         let joints = self.joints.iter().map(|joint| {
-            let (drive, friction, limits) = (joint.drive, joint.friction, joint.limits);
-            let name = joint.name.as_str();
             Value::try_from(OverlayJoint {
-                name,
-                drive,
-                friction,
-                limits,
+                name: &joint.name,
+                drive: joint.drive,
+                friction: joint.friction,
+                limits: joint.limits,
             })
         });
         let joints = Value::Array(joints.collect::<Result<_, _>>()?);
@@ -82,19 +80,15 @@ pub(super) fn read(
     text: &str,
     selection: &Selection<'_>,
 ) -> Result<Option<Import>, Refusal> {
-    if !text
-        .parse::<Table>()
-        .is_ok_and(|table| table.contains_key(FROM))
-    {
+    let table = text.parse::<Table>();
+    if !table.is_ok_and(|table| table.contains_key(FROM)) {
         return Ok(None);
     }
     let overlay: OverlayFile =
         toml::from_str(text).map_err(|error| Refusal::toml(path, text, &error))?;
     let field = |field: &str, problem: String| Refusal::of(path, format!("{field}: {problem}"));
-    if overlay
-        .link_mass_kg
-        .is_some_and(|mass| mass.is_nan() || mass <= 0.0)
-    {
+    let bad_mass = |mass: f64| mass.is_nan() || mass <= 0.0;
+    if overlay.link_mass_kg.is_some_and(bad_mass) {
         return Err(field("link_mass_kg", "must be positive".to_owned()));
     }
     let selection = Selection {
@@ -151,7 +145,8 @@ fn merged(
             let there = |key: &str| limits.get(key).is_some();
             there("position_rad") && there("velocity_rad_s") && there("torque_nm")
         });
-        if let (Some(own), Value::Table(joint)) = (joint_of(&mut whole, place), joint) {
+        let own = whole.get_mut("joints").and_then(|own| own.get_mut(place));
+        if let (Some(Value::Table(own)), Value::Table(joint)) = (own, joint) {
             put(own, joint);
         }
     }
@@ -171,11 +166,6 @@ fn merged(
         }
     }
     Ok(merged)
-}
-
-/// Table of a joint in a description.
-fn joint_of(whole: &mut Table, place: usize) -> Option<&mut Table> {
-    whole.get_mut("joints")?.get_mut(place)?.as_table_mut()
 }
 
 /// Puts the values of `overlay` in the place of those of `whole`, table by table.
@@ -210,11 +200,7 @@ impl Robot {
             joints.push(joint_file(joint, &here));
             link_end = joint.dh_frame.unwrap_or_else(Placement::identity);
         }
-        let names: Vec<&str> = self
-            .joints
-            .iter()
-            .map(|joint| joint.name.as_str())
-            .collect();
+        let names: Vec<&str> = self.joints.iter().map(|j| j.name.as_str()).collect();
         let flange = link_end.inverse().then(&self.flange).snapped();
         toml::to_string(&RobotFile {
             name: self.name.clone(),

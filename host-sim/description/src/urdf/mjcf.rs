@@ -8,8 +8,8 @@ mod attributes;
 
 use super::document::{
     Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, TURN, body,
-    child, children, no_robot, number, optional, parse_number, parsed, problem, required, squared,
-    vector,
+    child, children, list, no_robot, number, optional, parse_number, parsed, problem, required,
+    squared, vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};
@@ -107,6 +107,12 @@ pub(super) fn read(file: &Path, text: String) -> Result<Document, String> {
     reader.document.unique()
 }
 
+/// The problem of a `part` of an element that MuJoCo alone can apply.
+fn unreadable(node: Node<'_, '_>, part: &str) -> String {
+    let way = "save the compiled model with MuJoCo (mj_saveLastXML)";
+    problem(node, &format!("{part}cannot be read: {way}"))
+}
+
 struct Reader<'a, 'input> {
     root: Node<'a, 'input>,
     degrees: bool,
@@ -133,10 +139,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                     return Err(problem(inner, "in a <frame> cannot be read"));
                 }
                 "replicate" | "attach" | "composite" | "flexcomp" => {
-                    return Err(problem(
-                        inner,
-                        "cannot be read: save the compiled model with MuJoCo (mj_saveLastXML)",
-                    ));
+                    return Err(unreadable(inner, ""));
                 }
                 _ => {}
             }
@@ -240,10 +243,9 @@ impl<'a, 'input> Reader<'a, 'input> {
         };
         let axis = three(self.values(node, class, "axis")?, Vector3::z())?;
         let anchor = three(self.values(node, class, "pos")?, Vector3::zeros())?;
-        let turn = if kind == "prismatic" {
-            1.0
-        } else {
-            self.angle(1.0)
+        let turn = match kind {
+            "prismatic" => 1.0,
+            _ => self.angle(1.0),
         };
         let back = Unit::try_new(axis, 1e-9).map_or(Matrix3::identity(), |axis| {
             let back = -of("ref").ok().flatten().unwrap_or(0.0) * turn;
@@ -296,16 +298,11 @@ impl<'a, 'input> Reader<'a, 'input> {
         if node.has_tag_name("motor") {
             ranges.push(self.range(node, "main", ["ctrlrange", "ctrllimited"])?);
         }
-        let most = ranges
-            .into_iter()
-            .flatten()
-            .map(|(low, high)| gear * high.min(-low));
+        let ranges = ranges.into_iter().flatten();
+        let most = ranges.map(|(low, high)| gear * high.min(-low));
         let most = most.filter(|most| *most > 0.0).reduce(f64::min);
-        let driven = self
-            .document
-            .joints
-            .iter_mut()
-            .find(|joint| joint.name == name);
+        let mut joints = self.document.joints.iter_mut();
+        let driven = joints.find(|joint| joint.name == name);
         if let (Some(joint), Some(most)) = (driven, most) {
             joint.limit.effort = Some(joint.limit.effort.map_or(most, |known| known.min(most)));
         }
@@ -328,17 +325,13 @@ impl<'a, 'input> Reader<'a, 'input> {
             }
             "connect" | "weld" => {
                 let held = [named("body1"), named("body2")];
-                let bolts = self
-                    .document
-                    .joints
-                    .iter()
-                    .filter(|joint| joint.kind == "fixed");
-                let bolts = bolts.filter(|bolt| held.contains(&bolt.child.as_str()));
+                let holds = |joint: &JointElement| held.contains(&joint.child.as_str());
+                let bolts = self.document.joints.iter();
+                let bolts = bolts.filter(|joint| joint.kind == "fixed" && holds(joint));
                 let moved: Vec<String> = bolts.map(|bolt| bolt.parent.clone()).collect();
                 for joint in &mut self.document.joints {
-                    let holds =
-                        moved.contains(&joint.child) || held.contains(&joint.child.as_str());
-                    if holds && joint.kind != "fixed" {
+                    let held = moved.contains(&joint.child) || holds(joint);
+                    if held && joint.kind != "fixed" {
                         joint.kind = "held by an equality constraint".to_owned();
                     }
                 }

@@ -9,17 +9,25 @@ pub(super) const ARM: &str = include_str!("tests/two_link.urdf");
 /// Default classes, degrees, a turned and shifted joint, an actuator's limit, a gripper whose fingers are coupled.
 pub(super) const MJCF: &str = include_str!("tests/two.xml");
 
-const TO_HAND: Selection<'static> = Selection {
-    base: None,
-    tip: Some("hand"),
-    weld: false,
-    repair: false,
-    link_mass: None,
-};
+const TENSOR: &str = r#"ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001""#;
+const NO_TENSOR: &str = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
+
+const WHOLE: Selection<'static> = between(None, None);
+const TO_HAND: Selection<'static> = between(None, Some("hand"));
+
+const fn between<'a>(base: Option<&'a str>, tip: Option<&'a str>) -> Selection<'a> {
+    Selection {
+        base,
+        tip,
+        weld: false,
+        repair: false,
+        link_mass: None,
+    }
+}
 
 /// The arm of a file that needs no selection, and the notes.
 pub(super) fn imported(text: &str) -> Import {
-    parse("t", text, &Selection::default()).unwrap()
+    parse("t", text, &WHOLE).unwrap()
 }
 
 pub(super) fn whole(text: &str) -> Robot {
@@ -79,15 +87,9 @@ fn bolted_links_become_part_of_the_link_that_moves_them() {
 #[test]
 fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
     // A door whose hinge points along each axis in turn must have M and G of a body turning about that axis.
-    for axis in [
-        Vector3::x(),
-        -Vector3::x(),
-        Vector3::y(),
-        -Vector3::y(),
-        Vector3::z(),
-        -Vector3::z(),
-        Vector3::new(1.0, -2.0, 0.5),
-    ] {
+    let along = [Vector3::x(), Vector3::y(), Vector3::z()];
+    let oblique = [Vector3::new(1.0, -2.0, 0.5)];
+    for axis in [&along[..], &along.map(|axis| -axis), &oblique].concat() {
         let text = format!(
             r#"<robot name="door"><link name="wall"/>
             <joint name="hinge" type="revolute"><parent link="wall"/><child link="leaf"/>
@@ -105,41 +107,29 @@ fn axes_other_than_z_are_turned_onto_z_without_moving_the_zero() {
         let inertia = unit.dot(&(tensor * unit)) + mass * unit.cross(&com).norm_squared();
         for q in [0.0, 0.7, -2.0] {
             let turn = nalgebra::Rotation3::new(unit * q);
-            let lift = unit
-                .cross(&(turn * com))
-                .dot(&Vector3::new(0.0, 0.0, mass * 9.81));
-            let state = State {
-                q: Joints::<1>::new(q),
-                qd: Joints::<1>::new(1.5),
-                qdd: Joints::<1>::new(2.0),
-            };
+            let weight = Vector3::new(0.0, 0.0, mass * 9.81);
+            let lift = unit.cross(&(turn * com)).dot(&weight);
+            let [q, qd, qdd] = [q, 1.5, 2.0].map(Joints::<1>::new);
+            let state = State { q, qd, qdd };
             let tau = model.inverse_dynamics(&state)[0];
             assert!((tau - (2.0 * inertia + lift)).abs() < 1e-12, "{axis} {q}");
         }
-        let exact = robot.joints[0]
-            .placement
-            .rot_parent_child
-            .iter()
-            .all(|x| x.fract() == 0.0);
+        let rot = &robot.joints[0].placement.rot_parent_child;
+        let exact = rot.iter().all(|x| x.fract() == 0.0);
         assert_eq!(exact, axis.amax() == axis.norm(), "{axis}");
     }
 }
 
 #[test]
 fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
-    let tensor = r#"ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001""#;
-    let nothing = r#"ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0""#;
-    assert_eq!(ARM.matches(tensor).count(), 2);
-    let points = ARM.replace(tensor, nothing);
+    assert_eq!(ARM.matches(TENSOR).count(), 2);
+    let points = ARM.replace(TENSOR, NO_TENSOR);
     assert_eq!(to_hand(&points).joints[1].link.mass, 1.5);
-    let only_a_point = points.replacen(
-        r#"<parent link="fore"/><child link="hand"/>"#,
-        r#"<parent link="fore"/><child link="hand"/><axis xyz="0 0 1"/>
-        <limit lower="-1" upper="1" velocity="1" effort="1"/>"#,
-        1,
-    );
-    let only_a_point =
-        only_a_point.replacen(r#""wrist" type="fixed""#, r#""wrist" type="revolute""#, 1);
+    let ends = r#"<parent link="fore"/><child link="hand"/>"#;
+    let moves = r#"<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>"#;
+    let only_a_point = points.replacen(ends, &format!("{ends}{moves}"), 1);
+    let [fixed, revolute] = [r#""wrist" type="fixed""#, r#""wrist" type="revolute""#];
+    let only_a_point = only_a_point.replacen(fixed, revolute, 1);
     let message =
         "t: link 'hand': inertia is not positive definite (--repair takes the nearest of a body)";
     assert_eq!(refusal(&only_a_point, &TO_HAND), message);
@@ -147,12 +137,7 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
 
 #[test]
 fn a_tip_cuts_off_its_children_with_a_note() {
-    let selection = Selection {
-        base: Some("base"),
-        tip: Some("fore"),
-        ..Selection::default()
-    };
-    let import = parse("t", ARM, &selection).unwrap();
+    let import = parse("t", ARM, &between(Some("base"), Some("fore"))).unwrap();
     assert_eq!(import.robot.joints[1].link.mass, 1.0);
     // The base frame is that of the base link, not of the world it stands in.
     let origin = import.robot.joints[0].placement.origin;
@@ -163,8 +148,8 @@ fn a_tip_cuts_off_its_children_with_a_note() {
     assert_eq!(whole.robot.joints[0].placement.origin.z, 1.5);
     assert!(!whole.has(left_out));
     for finger in ["left", "right"] {
-        let note =
-            format!("left out: link '{finger}' on joint '{finger}_finger' and all it carries");
+        let joint = format!("joint '{finger}_finger' and all it carries");
+        let note = format!("left out: link '{finger}' on {joint}");
         assert!(whole.has(&note), "{:?}", whole.notes);
     }
 }
@@ -199,11 +184,7 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
     let jaw = ARM.replace(prismatic, r#""jaw" type="revolute""#);
     let jaw = jaw.replace("<mimic joint=\"left_finger\"/>", "<mimic joint=\"jaw\"/>");
     assert_eq!(imported(&jaw).robot.joint_count(), 2);
-    let by_joint = Selection {
-        base: Some("elbow"),
-        tip: Some("elbow"),
-        ..Selection::default()
-    };
+    let by_joint = between(Some("elbow"), Some("elbow"));
     let forearm = parse("t", ARM, &by_joint).unwrap().robot;
     let [joint] = &forearm.joints[..] else {
         panic!("{forearm:?}");
@@ -214,7 +195,7 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
         <joint name="a" type="revolute"><parent link="base"/><child link="b"/></joint><link name="b"/>
         <joint name="c" type="revolute"><parent link="b"/><child link="d"/></joint><link name="d"/>
         <joint name="e" type="revolute"><parent link="d"/><child link="f"/></joint><link name="f"/></robot>"#);
-    let error = refusal(&torso, &Selection::default());
+    let error = refusal(&torso, &WHOLE);
     let expected =
         "t: the tree branches at link 'world': choose the arm's end with --tip 'f' or --tip 'fore'";
     assert_eq!(error, expected);
@@ -235,10 +216,7 @@ fn numbers_that_look_like_other_units_are_asked_about() {
         ),
     ] {
         assert!(ARM.contains(good), "{good}");
-        let asked = |text: &str| {
-            let notes = imported(text).notes;
-            notes.iter().any(|note| note.starts_with(question))
-        };
+        let asked = |text: &str| imported(text).begins(question);
         assert!(asked(&ARM.replacen(good, bad, 1)), "{question}");
         assert!(!asked(ARM), "{question}");
     }
@@ -282,75 +260,57 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     let note = "drives are not described: rotor inertias 0, gains 1 N·m/A but 10 N·m/A at 'shoulder', 17-bit encoders";
     assert!(strong.has(note), "{:?}", strong.notes);
     let broken = ARM.replace("iyy=\"0.03\"", "iyy=\"0.3\"");
-    let repair = Selection {
-        repair: true,
-        ..Selection::default()
-    };
+    let mut repair = WHOLE;
+    repair.repair = true;
     let repaired = parse("t", &broken, &repair).unwrap();
     assert!(repaired.begins("link 'upper': inertia moved"));
     let moments = repaired.robot.joints[0].link.second_moments();
     assert!(moments.symmetric_eigenvalues().min() > 0.0);
     assert_eq!(parse("t", ARM, &repair).unwrap().robot, to_hand(ARM));
-    let weld = Selection {
-        weld: true,
-        ..Selection::default()
-    };
+    let mut weld = WHOLE;
+    weld.weld = true;
     let finger = r#"<link name="left"><inertial><mass value="0.1"/>
         <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>"#;
     let fingers = ARM.replace("<link name=\"left\"/>", finger);
     let welded = parse("t", &fingers, &weld).unwrap();
     assert!((welded.robot.joints[1].link.mass - 1.6).abs() < 1e-12);
     let upper = r#"<link name="upper"/>"#;
-    let hollow = with(
-        upper,
-        r#"<link name="upper">"#,
-        r#"<joint name="camera_mount""#,
-    );
-    let hollow = hollow.replacen(
-        "<inertial><mass value=\"1\"/>",
-        "<collision/><inertial><mass value=\"0\"/>",
-        1,
-    );
-    let hollow = hollow.replacen(
-        "<inertia ixx=\"0.001\" ixy=\"0\" ixz=\"0\" iyy=\"0.001\" iyz=\"0\" izz=\"0.001\"/>",
-        "<inertia ixx=\"0\" ixy=\"0\" ixz=\"0\" iyy=\"0\" iyz=\"0\" izz=\"0\"/>",
-        1,
-    );
-    assert!(refusal(&hollow, &Selection::default()).ends_with("--link-mass"));
-    let rods = Selection {
-        link_mass: Some(2.0),
-        ..Selection::default()
-    };
+    let camera = r#"<joint name="camera_mount""#;
+    let mut hollow = with(upper, r#"<link name="upper">"#, camera);
+    for (good, bad) in [
+        (
+            r#"<inertial><mass value="1"/>"#,
+            r#"<collision/><inertial><mass value="0"/>"#,
+        ),
+        (TENSOR, NO_TENSOR),
+    ] {
+        hollow = hollow.replacen(good, bad, 1);
+    }
+    assert!(refusal(&hollow, &WHOLE).ends_with("--link-mass"));
+    let mut rods = WHOLE;
+    rods.link_mass = Some(2.0);
     let robot = parse("t", &hollow, &rods).unwrap().robot;
     assert_eq!(robot.joints[0].link.mass, 2.0);
 }
 
 #[test]
 fn a_chain_of_fingers_is_no_arm_and_a_palm_is_a_wrist() {
-    let hand = ARM
-        .replace(
-            r#""left_finger" type="prismatic""#,
-            r#""left_finger" type="revolute""#,
-        )
-        .replace(
-            r#"<link name="left"/>"#,
-            r#"<link name="left"/><joint name="left_finger_tip" type="revolute">
-          <parent link="left"/><child link="left_tip"/></joint><link name="left_tip"/>"#,
-        );
+    let prismatic = r#""left_finger" type="prismatic""#;
+    let hand = ARM.replace(prismatic, r#""left_finger" type="revolute""#);
+    let tip = r#"<link name="left"/><joint name="left_finger_tip" type="revolute">
+        <parent link="left"/><child link="left_tip"/></joint><link name="left_tip"/>"#;
+    let hand = hand.replace(r#"<link name="left"/>"#, tip);
     assert_eq!(whole(&hand).joints.len(), 2);
     // A wrist that carries a jaw.
-    let wrist = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
-    let wrist = wrist.replace("\"hand\"", "\"gripper\"").replace(
-        r#""left_finger" type="prismatic""#,
-        r#""jaw" type="revolute""#,
-    );
+    let turning = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
+    let wrist = turning.replace("\"hand\"", "\"gripper\"");
+    let wrist = wrist.replace(prismatic, r#""jaw" type="revolute""#);
     let start = wrist.find(r#"<joint name="right_finger""#).unwrap();
     let end = wrist.find("<link name=\"right\"/>").unwrap();
     let wrist = format!("{}{}", &wrist[..start], &wrist[end + 21..]);
     let robot = whole(&wrist);
     assert_eq!((robot.joints.len(), &*robot.joints[2].name), (3, "wrist"));
-    let palm = ARM.replace(r#""wrist" type="fixed""#, r#""wrist" type="continuous""#);
-    let palm = palm.replace("hand", "gripper");
+    let palm = turning.replace("hand", "gripper");
     let robot = whole(&palm);
     assert_eq!(robot.joints[2].name, "wrist");
     let loose = ARM.replace("<robot ", "<!DOCTYPE robot><robot foo:bar=\"1\" ");
@@ -398,18 +358,10 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         assert!(ARM.contains(good), "{good}");
         let option = |name| Some(name).filter(|name: &&str| !name.is_empty());
         let (base, tip) = (option(base), option(tip));
-        let selection = Selection {
-            base,
-            tip,
-            ..Selection::default()
-        };
-        let error = refusal(&ARM.replacen(good, bad, 1), &selection);
+        let error = refusal(&ARM.replacen(good, bad, 1), &between(base, tip));
         assert_eq!(error, format!("t: {message}"));
     }
-    let to = |tip| Selection {
-        tip: Some(tip),
-        ..Selection::default()
-    };
+    let to = |tip| between(None, Some(tip));
     let error = refusal("<sdf/>", &to("fore"));
     let message = "t: not a URDF or MJCF: <sdf> instead of <robot> or <mujoco>";
     assert_eq!(error, message);
@@ -442,19 +394,12 @@ fn too_many_joints_are_cut_at_either_end_and_a_lift_below_them_first() {
     };
     let long = chain("continuous");
     let ends = "t: 10 moving joints, an arm has at most 8: choose its ends, such as --base 'l2' or --tip 'l8'";
-    assert_eq!(refusal(&long, &Selection::default()), ends);
-    for (base, tip) in [(Some("l2"), None), (None, Some("l8"))] {
-        let selection = Selection {
-            base,
-            tip,
-            ..Selection::default()
-        };
-        assert_eq!(
-            parse("t", &long, &selection).unwrap().robot.joint_count(),
-            8
-        );
+    assert_eq!(refusal(&long, &WHOLE), ends);
+    for selection in [between(Some("l2"), None), between(None, Some("l8"))] {
+        let cut = parse("t", &long, &selection).unwrap().robot;
+        assert_eq!(cut.joint_count(), 8);
     }
-    let error = refusal(&chain("prismatic"), &Selection::default());
+    let error = refusal(&chain("prismatic"), &WHOLE);
     assert!(error.ends_with("(--base 'l1' begins behind it)"), "{error}");
 }
 
@@ -493,11 +438,9 @@ fn inertia_without_mass_is_left_out_on_demand() {
     let massless = ARM.replacen("<mass value=\"0.5\"/>", "<mass value=\"0\"/>", 1);
     let error = refusal(&massless, &TO_HAND);
     assert!(error.ends_with("(--repair leaves it out)"), "{error}");
-    let repaired = Selection {
-        repair: true,
-        ..TO_HAND
-    };
-    let import = parse("t", &massless, &repaired).unwrap();
+    let mut repair = TO_HAND;
+    repair.repair = true;
+    let import = parse("t", &massless, &repair).unwrap();
     assert_eq!(import.robot.joints[1].link.mass, 1.0);
     assert!(import.has("link 'hand': inertia without mass is left out"));
 }

@@ -27,10 +27,9 @@ pub fn run(
     progress: Progress<'_>,
 ) -> Result<Outcome<DemoReport>, StudyError> {
     let setup = Setup::new(config, progress)?;
-    let (mut report, curves, replies) = long_run::long_run(bulk, &setup, config, names, progress)?;
-    report.usart = usart
-        .map(|board| long_run::usart_run(board, &setup, config, &replies, progress))
-        .transpose()?;
+    let (mut report, curves, replies) = long_run::long_run(bulk, &setup, names)?;
+    let usart = usart.map(|board| long_run::usart_run(board, &setup, &replies));
+    report.usart = usart.transpose()?;
     Ok(Outcome {
         page: page::page(&report, &curves, &setup.series),
         text: report.summary(),
@@ -255,25 +254,17 @@ mod tests {
             excitation_candidates: 5,
             ..DemoConfig::default()
         };
-        run(
-            &config,
-            ("native".to_owned(), "test".to_owned()),
-            (&mut board(), Some(&mut board())),
-            &|_, _, _| {},
-        )
-        .expect("runs")
+        let names = ("native".to_owned(), "test".to_owned());
+        let boards = (&mut board(), Some(&mut board()));
+        run(&config, names, boards, &|_, _, _| {}).expect("runs")
     }
 
     #[test]
     fn six_seconds_of_learning_halve_the_torque_error_and_runs_repeat() {
         let outcome = in_small();
         let report = &outcome.report;
-        assert!(
-            report.torque_nrmse_before > 0.2,
-            "{}",
-            report.torque_nrmse_before
-        );
-        assert!(report.torque_nrmse_after < 0.5 * report.torque_nrmse_before);
+        let (before, after) = (report.torque_nrmse_before, report.torque_nrmse_after);
+        assert!(before > 0.2 && after < 0.5 * before, "{before} {after}");
         let tracking = &report.tracking_rms_mrad;
         assert!(tracking.after < tracking.before && tracking.before < tracking.pd_only);
         assert_eq!(report.link.errors, 0);

@@ -2,6 +2,7 @@
 
 use super::long_run::WATCH_POINTS;
 use super::{DemoCurves, DemoReport, LearningPoint, N};
+use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::excitation::page::{legend, panels};
 use foretorque_workbench::metrics::MOVING_RAD_S;
@@ -87,12 +88,8 @@ fn predicted(report: &DemoReport, curves: &DemoCurves) -> Section {
         ]
     });
     let rmse = &report.torque_rmse_nm;
-    let ratios: Vec<f64> = rmse
-        .after
-        .iter()
-        .zip(&rmse.before)
-        .map(|(a, b)| a / b)
-        .collect();
+    let pairs = rmse.after.iter().zip(&rmse.before);
+    let ratios: Vec<f64> = pairs.map(|(a, b)| a / b).collect();
     Section::new(
         "Predicted and true torque on the unseen path",
         format!(
@@ -146,25 +143,23 @@ fn halved_after(points: &[LearningPoint]) -> String {
     let Some(first) = points.first() else {
         return "no time".to_owned();
     };
-    points
-        .iter()
-        .find(|point| point.torque_nrmse <= 0.5 * first.torque_nrmse)
-        .map_or("more than the whole time".to_owned(), |point| {
-            format!("{:.0} s", point.t_s)
-        })
+    let halved = |point: &&LearningPoint| point.torque_nrmse <= 0.5 * first.torque_nrmse;
+    match points.iter().find(halved) {
+        Some(point) => format!("{:.0} s", point.t_s),
+        None => "more than the whole time".to_owned(),
+    }
 }
 
 fn tracking(report: &DemoReport, curves: &DemoCurves) -> Section {
     let kinds = &curves.tracking;
     let panels = Panel::of_joints(N, "error / mrad", |j| {
-        let kinds = [
-            (TRUTH, &kinds.pd_only),
-            (BEFORE, &kinds.before),
-            (AFTER, &kinds.after),
-        ];
-        kinds
-            .map(|(color, points)| Curve::new(color, points, |(t_s, e)| (*t_s, e[j])))
-            .into()
+        let curve =
+            |color, points: &[(f64, Joints<N>)]| Curve::new(color, points, |(t_s, e)| (*t_s, e[j]));
+        vec![
+            curve(TRUTH, &kinds.pd_only),
+            curve(BEFORE, &kinds.before),
+            curve(AFTER, &kinds.after),
+        ]
     });
     let (mean, joints) = (&report.tracking_rms_mrad, &report.tracking_rms_joint_mrad);
     Section::new(
@@ -226,14 +221,13 @@ fn cost(report: &DemoReport) -> Section {
             report.learning_instructions,
         ),
     ];
-    let usart = report.usart.as_ref();
-    rows.extend(usart.map(|usart| {
+    if let Some(usart) = &report.usart {
         let name = "tick, flashable firmware over its USART";
-        (name, usart.tick_instructions)
-    }));
-    let rows = rows
-        .into_iter()
-        .map(|(name, cost)| [name.to_owned(), cost.mean.to_string(), cost.max.to_string()]);
+        rows.push((name, usart.tick_instructions));
+    }
+    let rows = rows.into_iter();
+    let rows =
+        rows.map(|(name, cost)| [name.to_owned(), cost.mean.to_string(), cost.max.to_string()]);
     let caption = if report.tick_instructions.max > 0 {
         "Instructions between a complete request and its reply, and those of learning behind it, counted by a timer of the emulated \
          board. They are instructions and not cycles: the emulator models neither wait states nor the pipeline, and nothing here \
@@ -262,9 +256,8 @@ fn link(report: &DemoReport) -> Section {
             usart.ticks
         );
     }
-    let rows = rows
-        .into_iter()
-        .map(|(name, link)| [name, link.frames.to_string(), link.errors.to_string()]);
+    let rows = rows.into_iter();
+    let rows = rows.map(|(name, link)| [name, link.frames.to_string(), link.errors.to_string()]);
     Section::new("Link", caption).table("link | frames | errors", rows)
 }
 
@@ -289,10 +282,8 @@ fn this_run(report: &DemoReport) -> Section {
         ),
     ];
     let usart = report.usart.as_ref().map_or(String::new(), |usart| {
-        format!(
-            " --usart-learning-s {}",
-            usart.ticks as f64 * report.period_s
-        )
+        let learning_s = usart.ticks as f64 * report.period_s;
+        format!(" --usart-learning-s {learning_s}")
     });
     Section::new(
         "This run",

@@ -1,8 +1,8 @@
 //! The figures as sentences.
 
 use super::cell::FrictionKind;
-use super::steps::Steps;
-use super::{Condition, Times};
+use super::steps::{Steps, Trained};
+use super::{Condition, Times, by_rows, on_all_rows};
 use std::collections::BTreeMap;
 
 /// A method that is this near to another, on the geometric mean, does as well.
@@ -11,21 +11,20 @@ const EQUAL: f64 = 0.02;
 /// Findings of steps and conditions, whether or not they favour the BP network.
 pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     let mut out = Vec::new();
-    let physical = &steps.trained[2];
-    let plain = &steps.trained[1];
-    let black_box = &steps.trained[3];
+    let [exact, plain, physical, black_box] = &steps.trained;
+    let error = |trained: &Trained| percent(trained.base_parameter_error_ratio.unwrap_or(0.0));
     out.push(format!(
         "Without noise the BP network with physical weights finds the {} base parameters to {} of their norm after {} accelerated \
          epochs ({} after {} epochs of eq. 21 as it stands) and predicts the arbitrary path to {} NRMSE; least squares solves the \
          same equations at once, to {} and {}.",
         steps.base_parameters,
-        percent(physical.base_parameter_error_ratio.unwrap_or(0.0)),
+        error(physical),
         physical.epochs,
-        percent(plain.base_parameter_error_ratio.unwrap_or(0.0)),
+        error(plain),
         plain.epochs,
         percent(physical.path_nrmse_ratio),
-        percent(steps.trained[0].base_parameter_error_ratio.unwrap_or(0.0)),
-        percent(steps.trained[0].path_nrmse_ratio),
+        error(exact),
+        percent(exact.path_nrmse_ratio),
     ));
     out.push(format!(
         "A BP network with a hidden layer on q, qd, qdd (18-32-6) shows {} on the held-out 20 % and {} on the arbitrary path: the \
@@ -33,8 +32,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         percent(black_box.validation_loss_ratio),
         percent(black_box.path_nrmse_ratio),
     ));
-    let full = conditions.iter().map(|c| c.rows).max().unwrap_or(0);
-    let grid: Vec<&Condition> = conditions.iter().filter(|c| c.rows == full).collect();
+    let grid = on_all_rows(conditions);
     let of = |friction: Option<FrictionKind>, outliers: Option<bool>| -> Vec<&Condition> {
         let fits = |c: &&Condition| {
             friction.is_none_or(|f| c.friction == f)
@@ -96,7 +94,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
             "The black-box network is {mean:.0} times worse than weighted least squares on unseen paths ({least:.0} to {most:.0})."
         ));
     }
-    out.extend(samples(conditions, full));
+    out.extend(samples(conditions));
     out.extend(failures(conditions));
     out
 }
@@ -108,27 +106,24 @@ fn failures(conditions: &[Condition]) -> Option<String> {
         *failed.entry(name).or_default() += count;
     }
     let draws: usize = conditions.iter().map(|c| c.draws).sum();
-    let reported: Vec<String> = failed
-        .iter()
-        .map(|(name, count)| format!("{name} in {count} of {draws} draws"))
-        .collect();
+    let failed = failed.iter();
+    let reported = failed.map(|(name, count)| format!("{name} in {count} of {draws} draws"));
+    let reported: Vec<String> = reported.collect();
     (!reported.is_empty()).then(|| format!("Found no model: {}.", reported.join(", ")))
 }
 
 /// Rows that the methods need: the fewest with which the error is at most twice that with all rows.
-fn samples(conditions: &[Condition], full: usize) -> Option<String> {
-    let mut curve: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
-    curve.sort_by_key(|c| c.rows);
+fn samples(conditions: &[Condition]) -> Option<String> {
+    let (curve, full) = (by_rows(conditions), on_all_rows(conditions).first()?.rows);
     let last = curve.iter().find(|c| c.rows == full)?;
     let needed: Vec<String> = ["wls", "irls", "consistent", "bp_physical", "bp_residual"]
         .iter()
         .filter_map(|name| {
-            let goal = 2.0 * last.methods.get(*name)?.path_nrmse_ratio;
-            let first = curve.iter().find(|c| {
-                let own = c.methods.get(*name);
-                own.is_some_and(|own| own.path_nrmse_ratio <= goal)
-            })?;
-            let own = first.methods.get(*name)?.path_nrmse_ratio;
+            let error = |c: &Condition| Some(c.methods.get(*name)?.path_nrmse_ratio);
+            let goal = 2.0 * error(last)?;
+            let reaches = |c: &&&Condition| error(c).is_some_and(|own| own <= goal);
+            let first = curve.iter().find(reaches)?;
+            let own = error(first)?;
             Some(format!("{name} {} rows ({})", first.rows, percent(own)))
         })
         .collect();

@@ -195,6 +195,19 @@ impl Condition {
     }
 }
 
+/// The conditions with the most rows: those of the robustness study.
+fn on_all_rows(conditions: &[Condition]) -> Vec<&Condition> {
+    let full = conditions.iter().map(|c| c.rows).max().unwrap_or(0);
+    conditions.iter().filter(|c| c.rows == full).collect()
+}
+
+/// The conditions of the efficiency study by their number of rows.
+fn by_rows(conditions: &[Condition]) -> Vec<&Condition> {
+    let mut plain: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
+    plain.sort_by_key(|c| c.rows);
+    plain
+}
+
 /// One method in one condition.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MethodSummary {

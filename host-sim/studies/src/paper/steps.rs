@@ -43,7 +43,7 @@ pub struct Steps {
     /// Base parameters: the weights of the network with physical weights.
     pub base_parameters: usize,
     /// The ways to train, least squares first.
-    pub trained: Vec<Trained>,
+    pub trained: [Trained; 4],
     /// Parameters of the accelerated network against the truth.
     pub parameters: Vec<ParameterRow>,
     /// (4) Joint by joint on the arbitrary path.
@@ -113,7 +113,7 @@ pub(super) fn run(
         .map(|(_, state, tau)| ((*state).into(), (*tau).into(), [true; JOINTS].into()))
         .collect();
     let network = BlackBox::train(&samples, seed, &mut |_, _| ());
-    let trained = vec![
+    let trained = [
         known.linear("least squares", 1, &known.least_squares()?),
         known.linear("bp_physical, gradient descent (eq. 21)", plain.1, &plain.0),
         known.linear("bp_physical, accelerated", fast.1, &fast.0),
