@@ -132,13 +132,10 @@ fn print(bank: &ParameterBank) -> Result<(), Failure> {
         network.activation,
         bank.weights.len()
     )?;
-    show!(
-        "usable    {}",
-        match usable(bank) {
-            Ok(()) => format!("yes, on a board that drives {}", bank.arm),
-            Err(error) => format!("no: {error}"),
-        }
-    )?;
+    match usable(bank) {
+        Ok(()) => show!("usable    yes, on a board that drives {}", bank.arm)?,
+        Err(error) => show!("usable    no: {error}")?,
+    }
     let columns = bank.columns.iter().map(|column| {
         let figures = [column.value, column.deviation].map(|figure| format!("{figure:.6}"));
         std::iter::once(column.id.to_string()).chain(figures)
@@ -219,14 +216,8 @@ mod tests {
     #[test]
     fn a_key_is_32_hexadecimal_digits() {
         assert_eq!(key_bytes(&"0a".repeat(16)), Some([10; 16]));
-        for wrong in [
-            "",
-            "0a",
-            &"0g".repeat(16),
-            &"+a".repeat(16),
-            &"0a".repeat(17),
-        ] {
-            assert_eq!(key_bytes(wrong), None, "{wrong}");
+        for (wrong, times) in [("", 1), ("0a", 1), ("0g", 16), ("+a", 16), ("0a", 17)] {
+            assert_eq!(key_bytes(&wrong.repeat(times)), None, "{wrong}");
         }
     }
 }

@@ -9,7 +9,7 @@ use foretorque_workbench::board::{Client, Native, Transport};
 use foretorque_workbench::files::write_whole;
 use std::fmt;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -94,13 +94,11 @@ impl BoardChoice {
     ///
     /// Errors: of the files; a stream that is no log of the board's firmware.
     pub(super) fn write_log(&self, arm: &str, stream: &Path, file: &Path) -> Result<(), Failure> {
-        let elf = self
-            .image()
-            .map_or_else(PathBuf::new, |image| image.elf_of(arm));
+        let elf = self.image().map(|image| image.elf_of(arm));
         let bytes = |path: &Path| {
             fs::read(path).map_err(|error| foretorque_workbench::files::at(path, error))
         };
-        let lines = Messages::of(&bytes(&elf)?)?.lines(&bytes(stream)?)?;
+        let lines = Messages::of(&bytes(&elf.unwrap_or_default())?)?.lines(&bytes(stream)?)?;
         fs::remove_file(stream)?;
         write_whole(file, (lines.join("\n") + "\n").as_bytes())?;
         Ok(())
@@ -121,20 +119,16 @@ impl BoardChoice {
 fn compiler_of(elf: &Path) -> Option<String> {
     const MARK: &[u8] = b"rustc version ";
     let bytes = fs::read(elf).ok()?;
-    let marks = bytes
-        .windows(MARK.len())
-        .enumerate()
-        .filter(|(_, window)| *window == MARK);
-    marks
-        .map(|(place, _)| &bytes[place + MARK.len()..])
-        .find_map(|rest| {
-            // The version ends with the commit and its date in brackets; what a packager adds is left out.
-            let end = rest.iter().position(|byte| *byte == b')')? + 1;
-            let version = std::str::from_utf8(&rest[..end]).ok()?;
-            version
-                .starts_with(|first: char| first.is_ascii_digit())
-                .then(|| format!("rustc {version}"))
-        })
+    let windows = bytes.windows(MARK.len()).enumerate();
+    let mut marks = windows.filter(|(_, window)| *window == MARK);
+    marks.find_map(|(place, _)| {
+        let rest = &bytes[place + MARK.len()..];
+        // The version ends with the commit and its date in brackets; what a packager adds is left out.
+        let end = rest.iter().position(|byte| *byte == b')')? + 1;
+        let version = std::str::from_utf8(&rest[..end]).ok()?;
+        let is_version = version.starts_with(|first: char| first.is_ascii_digit());
+        is_version.then(|| format!("rustc {version}"))
+    })
 }
 
 /// `on_arm!(robot, A, N, P => work)`: `work` with the arm `A` of `robot`, the code of the board with the constants of the

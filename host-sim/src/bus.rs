@@ -69,9 +69,7 @@ impl Network for Attended {
         self.guard = None;
         let outcome = match self.simulated {
             true => self.network.ask(ask),
-            false => {
-                prompt(&request(ask)).map_err(|error| BusError::Gone("terminal".to_owned(), error))
-            }
+            false => prompt(&request(ask)).map_err(|e| BusError::Gone("terminal".to_owned(), e)),
         };
         self.guard = Some(SignalGuard::begin());
         outcome
@@ -157,8 +155,7 @@ impl Arguments {
         &self,
         profile: &Profile,
     ) -> Result<(), Failure> {
-        let arguments = self;
-        let (role, wires) = match arguments.role {
+        let (role, wires) = match self.role {
             RoleName::Master => (Role::Master, Wires::Can),
             RoleName::InLine => (Role::InLine, Wires::Can),
             RoleName::Uart => (Role::InLine, Wires::Uart),
@@ -172,26 +169,22 @@ impl Arguments {
             )));
         }
         let mut wiring = profile.wiring::<A, N, P>(role, wires)?;
-        if let Some(only) = arguments.joint {
+        if let Some(only) = self.joint {
             if !(1..=N).contains(&only) {
                 return Err(unusable(format!(
                     "--joint {only}: the arm has joints 1 to {N}"
                 )));
             }
-            let others = (1..)
-                .zip(&mut wiring.joints)
-                .filter(|(joint, _)| *joint != only);
+            let joints = (1..).zip(&mut wiring.joints);
+            let others = joints.filter(|(joint, _)| *joint != only);
             others.for_each(|(_, slot)| *slot = None);
         }
         let mut buffer = vec![0; Wiring::<N>::BYTES];
-        let bytes = wiring.encode(&mut buffer).map_err(|_| {
-            unusable(format!(
-                "{}: more drives than the flash of a board holds",
-                profile.file
-            ))
-        })?;
-        write_whole(&arguments.out, bytes)?;
-        let (count, out) = (bytes.len(), arguments.out.display());
+        let file = &profile.file;
+        let many = format!("{file}: more drives than the flash of a board holds");
+        let bytes = wiring.encode(&mut buffer).map_err(|_| unusable(many))?;
+        write_whole(&self.out, bytes)?;
+        let (count, out) = (bytes.len(), self.out.display());
         show!(
             "{count} bytes; next: probe-rs download --chip STM32F405RGTx --binary-format bin --base-address 0x08080000 {out}"
         )

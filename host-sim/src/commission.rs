@@ -102,8 +102,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         Some(step) => vec![step],
         None => StepName::value_variants().to_vec(),
     };
-    let on_arm: Vec<_> = wanted
-        .iter()
+    let steps = wanted.iter();
+    let on_arm: Vec<_> = steps
         .filter_map(|name| Some((*name, name.on_arm()?)))
         .collect();
     if !on_arm.is_empty() {
@@ -137,24 +137,19 @@ impl Arguments {
                 let text = std::fs::read_to_string(&path).map_err(|error| {
                     unusable(format!("{path}: {error}; the step before writes it"))
                 })?;
-                let period_s =
-                    serde_json::from_str::<serde_json::Value>(&text)?["period_s"].as_f64();
+                let series: serde_json::Value = serde_json::from_str(&text)?;
+                let period_s = series["period_s"].as_f64();
                 let duration_s = (PERIODS * period_s.unwrap_or_default()).to_string();
                 let (file, bus) = (self.profile.display().to_string(), self.bus.to_string());
-                let mut drive: drive::Arguments = of(&[
-                    "--profile",
-                    &file,
-                    "--bus",
-                    &bus,
-                    "--trajectory",
-                    &path,
-                    "--duration-s",
-                    &duration_s,
-                    "--seed",
-                    &seed,
-                    "--out",
-                    &driven,
-                ])?;
+                let words = [
+                    ["--profile", &file],
+                    ["--bus", &bus],
+                    ["--trajectory", &path],
+                    ["--duration-s", &duration_s],
+                    ["--seed", &seed],
+                    ["--out", &driven],
+                ];
+                let mut drive: drive::Arguments = of(words.as_flattened())?;
                 drive.arm = self.arm.clone();
                 drive::run(&drive)
             }
@@ -188,9 +183,8 @@ impl Arguments {
         robot: &Robot,
         wanted: &[(StepName, Step)],
     ) -> Result<(), Failure> {
-        let arguments = self;
         let rated = f64::from(rated_payload::<A, N, P>());
-        if let Some(mass) = arguments.weight_kg.filter(|mass| *mass > rated) {
+        if let Some(mass) = self.weight_kg.filter(|mass| *mass > rated) {
             return Err(unusable(format!(
                 "--weight-kg {mass}: more than the {rated:.2} kg that the arm carries"
             )));
@@ -200,25 +194,22 @@ impl Arguments {
         let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         let other_size = || unsupported(N);
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
-        let network: Box<dyn Network> = if arguments.bus.is_simulated() {
-            let truth = robot.perturbed(arguments.seed, &Perturbation::PLANT);
+        let network: Box<dyn Network> = if self.bus.is_simulated() {
+            let truth = robot.perturbed(self.seed, &Perturbation::PLANT);
             let plant = plant_config(PlantConfig::default());
-            let plant = Plant::<N>::new(&truth, plant, arguments.seed);
+            let plant = Plant::<N>::new(&truth, plant, self.seed);
             let mut plant = plant.ok_or_else(other_size)?;
             plant.place(&rest);
             let rates = profile.bus.first().copied().unwrap_or_default();
             let noise = Joints::zeros();
-            let network = SimulatedNetwork::new(plant, &config, rates, &noise, arguments.seed);
+            let network = SimulatedNetwork::new(plant, &config, rates, &noise, self.seed);
             Box::new(network)
         } else {
-            Box::new(wired(&arguments.bus, profile)?)
+            Box::new(wired(&self.bus, profile)?)
         };
-        let player = BusPlayer::<A, _, N, P>::new(
-            config,
-            set,
-            Attended::new(network, arguments.bus.is_simulated()),
-        )?;
-        arguments.steps(Commissioning::new(player, model, rest), wanted)
+        let network = Attended::new(network, self.bus.is_simulated());
+        let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
+        self.steps(Commissioning::new(player, model, rest), wanted)
     }
 
     /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.
@@ -231,15 +222,12 @@ impl Arguments {
         if self.step.is_some()
             && let Ok(text) = std::fs::read_to_string(&file)
         {
-            let found: Vec<Found> = serde_json::from_str(&text)
-                .map_err(|error| unusable(format!("{}: {error}", file.display())))?;
-            let count = found.len();
-            arm.found = found.try_into().map_err(|_| {
-                unusable(format!(
-                    "{}: findings of {count} joints, the arm has {N}: choose another --out",
-                    file.display()
-                ))
-            })?;
+            let refused = |problem: String| unusable(format!("{}: {problem}", file.display()));
+            let found: Vec<Found> =
+                serde_json::from_str(&text).map_err(|error| refused(error.to_string()))?;
+            let (count, way) = (found.len(), "choose another --out");
+            let other = format!("findings of {count} joints, the arm has {N}: {way}");
+            arm.found = found.try_into().map_err(|_| refused(other))?;
         }
         let weight = |mass| Payload::cube(mass, self.weight_com, 0.0, 0.0).body;
         arm.weight = self.weight_kg.map(weight);

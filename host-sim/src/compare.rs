@@ -30,19 +30,18 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
     keys.sort();
     keys.dedup();
+    let names = [&arguments.a, &arguments.b].map(|path| path.display().to_string());
+    let [one, other] = &names;
     if !keys
         .iter()
         .any(|key| a.contains_key(*key) && b.contains_key(*key))
     {
-        let names = (arguments.a.display(), arguments.b.display());
         return Err(unusable(format!(
-            "{} and {} have no figure in common",
-            names.0, names.1
+            "{one} and {other} have no figure in common"
         )));
     }
-    let shown = keys
-        .into_iter()
-        .filter(|key| arguments.all || a.get(*key) != b.get(*key));
+    let keys = keys.into_iter();
+    let shown = keys.filter(|key| arguments.all || a.get(*key) != b.get(*key));
     let rows: Vec<[String; 4]> = shown.map(|key| row(key, a.get(key), b.get(key))).collect();
     let width = rows.iter().map(|row| row[0].len()).max().unwrap_or(0);
     for [key, a, b, ratio] in &rows {
@@ -52,19 +51,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         show!("no figure differs")?;
     }
     if let Some(out) = &arguments.out {
-        let names = [&arguments.a, &arguments.b].map(|path| path.display().to_string());
-        let section = Section::new(
-            "Figures that differ",
-            "Values of both reports, and the second over the first.",
-        )
-        .table(
-            format!("figure | {} | {} | ratio", names[0], names[1]),
-            rows,
-        );
-        let page = Page::new(
-            format!("{} and {}", names[0], names[1]),
-            "Two reports side by side.",
-        );
+        let caption = "Values of both reports, and the second over the first.";
+        let section = Section::new("Figures that differ", caption);
+        let section = section.table(format!("figure | {one} | {other} | ratio"), rows);
+        let page = Page::new(format!("{one} and {other}"), "Two reports side by side.");
         write_whole(out, page.sections([section]).html()?.as_bytes())?;
     }
     Ok(())
@@ -72,10 +62,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Figures and words of a report by their path in the file.
 fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
-    let file = if path.is_dir() {
-        path.join("report.json")
-    } else {
-        path.to_owned()
+    let file = match path.is_dir() {
+        true => path.join("report.json"),
+        false => path.to_owned(),
     };
     let text = std::fs::read_to_string(&file).map_err(|error| at(&file, error))?;
     let report: Value = serde_json::from_str(&text)
@@ -99,23 +88,16 @@ fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
         Value::Array(values) if values.len() <= LONGEST => {
             for (number, value) in (1..).zip(values) {
                 // Parameters and paths are called by their names.
-                let named = ["name", "path"]
-                    .iter()
-                    .find_map(|field| value.get(field)?.as_str());
-                flatten(
-                    below(&named.map_or(number.to_string(), str::to_owned)),
-                    value,
-                    into,
-                );
+                let mut fields = ["name", "path"].iter();
+                let named = fields.find_map(|field| value.get(field)?.as_str());
+                let name = named.map_or(number.to_string(), str::to_owned);
+                flatten(below(&name), value, into);
             }
         }
         Value::Array(values) if values.iter().all(|value| value.get("name").is_some()) => {
             for value in values {
-                flatten(
-                    below(value["name"].as_str().unwrap_or_default()),
-                    value,
-                    into,
-                );
+                let name = value["name"].as_str().unwrap_or_default();
+                flatten(below(name), value, into);
             }
         }
         Value::Array(_) | Value::Null => {}
@@ -155,15 +137,13 @@ mod tests {
         let mut figures = BTreeMap::new();
         flatten(String::new(), &report, &mut figures);
         let keys: Vec<&str> = figures.keys().map(String::as_str).collect();
-        assert_eq!(
-            keys,
-            [
-                "methods.wls.parameters.Ia1.name",
-                "methods.wls.parameters.Ia1.value",
-                "methods.wls.rmse_nm.1",
-                "rank"
-            ]
-        );
+        let expected = [
+            "methods.wls.parameters.Ia1.name",
+            "methods.wls.parameters.Ia1.value",
+            "methods.wls.rmse_nm.1",
+            "rank",
+        ];
+        assert_eq!(keys, expected);
         let found = row("x", Some(&2.0.into()), Some(&3.0.into()));
         assert_eq!(found, ["x", "2.000000", "3.000000", "× 1.500"]);
     }

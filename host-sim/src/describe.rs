@@ -81,16 +81,12 @@ pub(super) struct Generate {
 impl Generate {
     pub(super) fn run(&self) -> Result<(), Failure> {
         let robot = self.arm.load(&self.robot)?;
-        let joints = robot.joints.iter().map(|joint| joint.name.as_str());
-        let joints: Vec<&str> = joints.collect();
+        let joints: Vec<&str> = robot.joints.iter().map(|j| j.name.as_str()).collect();
         write_arm_module(&robot, &self.out)?;
+        let (out, name, count) = (self.out.display(), &robot.name, joints.len());
         show!(
-            "{}: arm '{}' of {} joints: {}",
-            self.out.display(),
-            robot.name,
-            robot.joint_count(),
+            "{out}: arm '{name}' of {count} joints: {}",
             joints.join(", ")
-        )?;
-        Ok(())
+        )
     }
 }

@@ -3,8 +3,7 @@ use super::boards::on_arm;
 use super::bus::{Attended, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
-use super::terminal::Bar;
-use super::terminal::show;
+use super::terminal::{Bar, show};
 use super::{Failure, bank, positive, unsupported, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
@@ -162,13 +161,13 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
                 joint.drive.torque_limit = joint.drive.torque_limit.min(bounds.torque_nm);
             }
         }
+        let seed = arguments.seed;
         let path = match (arguments.trajectory.as_str(), arguments.duration_s) {
-            ("validation", Some(duration_s)) if duration_s > VALIDATION_S => Trajectory::Via(
-                ViaPath::random(robot, arguments.seed, duration_s, VALIDATION_PEAK_RAD_S),
-            ),
-            (name, duration_s) => {
-                Trajectory::load(name, robot, arguments.seed, duration_s, period_s)?
+            ("validation", Some(length_s)) if length_s > VALIDATION_S => {
+                let peak = VALIDATION_PEAK_RAD_S;
+                Trajectory::Via(ViaPath::random(robot, seed, length_s, peak))
             }
+            (name, length_s) => Trajectory::load(name, robot, seed, length_s, period_s)?,
         };
         path.check(robot, period_s)?;
         let duration_s = arguments.duration_s.unwrap_or(f64::INFINITY);
@@ -201,14 +200,14 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         plant.place(&self.path.at(0.0).q);
         let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);
         let noise = Joints::from_iterator(limits.map(|limit| REPORT_NOISE * limit));
-        let mut rates = self.profile.bus.iter().copied();
-        let rates = rates.next().unwrap_or_default();
+        let (rates, seed) = (self.profile.bus.first(), arguments.seed);
+        let rates = rates.copied().unwrap_or_default();
         Ok(SimulatedNetwork::new(
             plant,
             &self.config,
             rates,
             &noise,
-            arguments.seed,
+            seed,
         ))
     }
 
@@ -224,11 +223,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             set = ParameterSet::nominal::<A>(NETWORK_SEED);
             set.rigid.fill(0.0);
         }
-        let mut player = BusPlayer::new(
-            self.config,
-            set,
-            Attended::new(network, self.arguments.bus.is_simulated()),
-        )?;
+        let network = Attended::new(network, self.arguments.bus.is_simulated());
+        let mut player = BusPlayer::new(self.config, set, network)?;
         player.arm()?;
         let mut played = Played {
             player,
@@ -252,9 +248,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     ) -> Result<(), Failure> {
         let player = &mut played.player;
         player.approach(&self.path.at(0.0).q)?;
-        player
-            .controller
-            .set_learning(self.arguments.learn && !alone);
+        let learns = self.arguments.learn && !alone;
+        player.controller.set_learning(learns);
         let period_s = 1.0 / self.profile.rate_hz;
         let lead_s = self.profile.lead_s();
         // A measurement was taken when the command of the period before arrived.
@@ -313,6 +308,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         write_whole(&out.join("bank.bin"), &bank::bytes(&learnt)?)?;
         let [median, high, largest] = played.player.jitter.figures();
         let rms = played.rms_mrad();
+        let lost = (0..N).map(|j| controller.drives().counters(j).lost);
         let summary = Summary {
             robot: self.robot.name.clone(),
             bus: self.arguments.bus.to_string(),
@@ -326,9 +322,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             jitter_median_us: median,
             jitter_999_us: high,
             jitter_largest_us: largest,
-            periods_without_reply: (0..N)
-                .map(|j| controller.drives().counters(j).lost)
-                .collect(),
+            periods_without_reply: lost.collect(),
             foreign_frames: controller.drives().strays(),
             ended: played.ended.clone(),
         };

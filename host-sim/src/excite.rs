@@ -1,6 +1,5 @@
 use super::arm::{RobotOptions, with_rotors};
-use super::terminal::Bar;
-use super::terminal::show;
+use super::terminal::{Bar, show};
 use super::{Failure, finite, positive, unusable};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
@@ -93,31 +92,23 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let solid = robot.joints.iter().any(|joint| !joint.capsules.is_empty());
     if robot.coupling.is_some() && solid {
         show!("note: collisions of links with coupled joints are not checked")?;
-        robot
-            .joints
-            .iter_mut()
-            .for_each(|joint| joint.capsules.clear());
+        let joints = robot.joints.iter_mut();
+        joints.for_each(|joint| joint.capsules.clear());
     }
     if arguments.no_table {
         robot.workspace.table_height = None;
     }
     robot.workspace.table_height = arguments.table_m.or(robot.workspace.table_height);
-    search(arguments, &robot)
-}
-
-fn search(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
-    let given = match &arguments.improve {
-        Some(path) => Some(read(path, robot)?),
-        None => None,
-    };
+    let robot = &robot;
+    let given = arguments.improve.as_ref();
+    let given = given.map(|path| read(path, robot)).transpose()?;
+    let limit = arguments.condition_limit;
     let config = SearchConfig {
         // A given trajectory keeps its period.
         period_s: given.as_ref().map_or(arguments.period_s, |e| e.period_s),
         criterion: arguments.criterion.into(),
-        condition_limit: arguments
-            .condition_limit
-            .unwrap_or(SearchConfig::default().condition_limit),
-        condition_required: arguments.condition_limit.is_some(),
+        condition_limit: limit.unwrap_or(SearchConfig::default().condition_limit),
+        condition_required: limit.is_some(),
         seed: arguments.seed,
         starts: arguments.starts.get(),
         iterations: arguments.iterations.get(),
@@ -147,9 +138,8 @@ fn search(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
         }
         let errors = certificate.predicted_error_nm.iter();
         let errors = errors.zip(&certificate.predicted_error_of_limit);
-        let errors: Vec<String> = errors
-            .map(|(error, share)| format!("{error:.4} ({:.2} %)", 100.0 * share))
-            .collect();
+        let errors = errors.map(|(error, share)| format!("{error:.4} ({:.2} %)", 100.0 * share));
+        let errors: Vec<String> = errors.collect();
         show!(
             "predicted torque error of the joints {} N·m RMS (share of the torque limit; 10 s, 1 % noise)",
             errors.join(", ")

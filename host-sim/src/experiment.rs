@@ -1,8 +1,7 @@
 //! The studies, each a command of its own.
 
 use super::boards::BoardChoice;
-use super::terminal::Bar;
-use super::terminal::show;
+use super::terminal::{Bar, show};
 use super::{Failure, Snapshot, excite, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::Arm;
@@ -203,10 +202,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.study {
         _ if arguments.list => list(),
         Some(Study::Demo(arguments)) => run_demo(arguments),
-        Some(Study::Efficiency(own)) => own.out.study(|progress| {
-            let (out, draws) = (&own.out, own.draws as usize);
-            efficiency::run(&out.out, out.seed, draws, progress)
-        }),
+        Some(Study::Efficiency(Efficiency { out, draws })) => {
+            out.study(|progress| efficiency::run(&out.out, out.seed, *draws as usize, progress))
+        }
         Some(Study::Excitation(own)) => {
             let (quick, seed) = (own.jobs.quick, own.jobs.seed);
             let config = ExcitationConfig::new(quick, &own.robot, seed, own.seeds);
@@ -215,12 +213,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         Some(Study::Learning(arguments)) => run_learning(arguments),
         Some(Study::Paper(arguments)) => run_paper(arguments),
-        Some(Study::RealUr5(own)) => own
-            .out
-            .study(|progress| real_ur5::run(&own.logs, own.out.seed, progress)),
-        Some(Study::ReplayReal(own)) => own
-            .out
-            .study(|progress| replay::real_ur5(&own.logs, own.out.seed, progress)),
+        Some(Study::RealUr5(OfLogs { out, logs })) => {
+            out.study(|progress| real_ur5::run(logs, out.seed, progress))
+        }
+        Some(Study::ReplayReal(OfLogs { out, logs })) => {
+            out.study(|progress| replay::real_ur5(logs, out.seed, progress))
+        }
         Some(Study::Soak(arguments)) => run_soak(arguments),
         None => Err(unusable("which experiment? `experiment --list` shows them")),
     }
@@ -230,8 +228,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn list() -> Result<(), Failure> {
     let studies = Study::augment_subcommands(Command::new("experiment"));
     for study in studies.get_subcommands() {
-        let shows = study.get_about().map(ToString::to_string);
-        let shows = shows.unwrap_or_default();
+        let shows = study.get_about().cloned().unwrap_or_default();
         show!("{:<12} {shows}", study.get_name())?;
     }
     Ok(())
@@ -303,12 +300,9 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
     let choice = &arguments.board;
     arguments.out.study(|progress| {
         let mut bulk = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
-        let mut usart = match choice {
-            BoardChoice::Qemu => {
-                Some(BoardChoice::QemuUsart.connect::<Ur5, JOINTS, PARAMETERS>(None)?)
-            }
-            _ => None,
-        };
+        let beside = (*choice == BoardChoice::Qemu).then_some(BoardChoice::QemuUsart);
+        let usart = beside.map(|board| board.connect::<Ur5, JOINTS, PARAMETERS>(None));
+        let mut usart = usart.transpose()?;
         let boards = (&mut bulk, usart.as_mut());
         let names = (choice.to_string(), choice.toolchain(Ur5::NAME));
         Ok::<_, Failure>(demo::run(&config, names, boards, progress)?)
@@ -327,9 +321,8 @@ fn run_learning(arguments: &Learning) -> Result<(), Failure> {
         only: arguments.only.clone(),
         quick: arguments.quick,
     };
-    study(out, &arguments.snapshot, |progress| {
-        learning::run(&config, progress)
-    })
+    let work = |progress: Progress<'_>| learning::run(&config, progress);
+    study(out, &arguments.snapshot, work)
 }
 
 fn run_paper(arguments: &Paper) -> Result<(), Failure> {

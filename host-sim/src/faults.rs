@@ -1,7 +1,5 @@
-use super::Snapshot;
-use super::terminal::Bar;
-use super::terminal::show;
-use super::{Failure, unusable};
+use super::terminal::{Bar, show};
+use super::{Failure, Snapshot, unusable};
 use clap::Args;
 use foretorque_studies::faults::{self, Campaign, Lengths, scenarios};
 use foretorque_workbench::report::write_json;
@@ -51,9 +49,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     for (place, scenario) in all.iter().enumerate() {
         bar.show(scenario.name, place, count);
         let (name, start) = (scenario.name, Instant::now());
-        let campaign = scenario
-            .run()
-            .map_err(|error| unusable(format!("{name}: {error}")))?;
+        let campaign = scenario.run();
+        let campaign = campaign.map_err(|error| unusable(format!("{name}: {error}")))?;
         show!(
             "{}, {}: {} faults, {} recovered, {:.1} s",
             campaign.name,
@@ -67,18 +64,13 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     drop(bar);
     std::fs::remove_dir_all(&scratch)?;
-    let failed: Vec<String> = report
-        .campaigns
-        .iter()
-        .filter(|campaign| !campaign.is_survived())
+    let failed = report.campaigns.iter().filter(|own| !own.is_survived());
+    let failed: Vec<String> = failed
         .map(|campaign| format!("{} ({})", campaign.name, campaign.board))
         .collect();
     let text = faults::text(arguments.seed, &report.campaigns);
-    show!(
-        "{text}\n{} not survived; {}",
-        failed.len(),
-        arguments.out.display()
-    )?;
+    let (count, out) = (failed.len(), arguments.out.display());
+    show!("{text}\n{count} not survived; {out}")?;
     if !failed.is_empty() {
         return Err(unusable(format!("not survived: {}", failed.join(", "))));
     }

@@ -1,7 +1,6 @@
 use super::arm::RobotOptions;
 use super::logs::LogOptions;
-use super::terminal::Lines;
-use super::terminal::show;
+use super::terminal::{Lines, show};
 use super::{Failure, not_negative, positive, sound, unusable};
 use clap::Args;
 use foretorque_link::bank::ParameterBank;
@@ -111,14 +110,12 @@ fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
         period_s = Some(series.period_s);
     }
     match (arguments.filter, period_s) {
-        (Filter::Butterworth, Some(_)) => {
-            let reason = "--period-s and --excitation belong to --filter fourier";
-            Err(unusable(reason))
-        }
-        (Filter::Fourier, None) => {
-            let reason = "--filter fourier needs --period-s or --excitation";
-            Err(unusable(reason))
-        }
+        (Filter::Butterworth, Some(_)) => Err(unusable(
+            "--period-s and --excitation belong to --filter fourier",
+        )),
+        (Filter::Fourier, None) => Err(unusable(
+            "--filter fourier needs --period-s or --excitation",
+        )),
         (_, period_s) => Ok(period_s),
     }
 }
@@ -131,38 +128,33 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
-    let truth = match &arguments.truth {
-        Some(name) => {
-            let truth = Robot::load(name)?;
-            if truth.joint_count() != robot.joint_count() {
-                let reason = format!("--truth {name}: another number of joints");
-                return Err(unusable(reason));
-            }
-            Some(match arguments.truth_seed {
-                Some(seed) => truth.perturbed(seed, &Perturbation::PLANT),
-                None => truth,
-            })
+    let mut truth = None;
+    if let Some(name) = &arguments.truth {
+        let described = Robot::load(name)?;
+        if described.joint_count() != robot.joint_count() {
+            let reason = format!("--truth {name}: another number of joints");
+            return Err(unusable(reason));
         }
-        None => None,
-    };
+        truth = Some(match arguments.truth_seed {
+            Some(seed) => described.perturbed(seed, &Perturbation::PLANT),
+            None => described,
+        });
+    }
     let fold_period_s = fold_period_s(arguments)?;
     let logs = [&arguments.logs, &arguments.validate, &arguments.test];
     let logs: Vec<&Path> = logs.into_iter().flatten().map(PathBuf::as_path).collect();
     let rows = PrepareConfig::for_rows(longest_period_s(&logs, robot)?);
-    let methods = if arguments.methods.is_empty() {
-        METHODS.iter().map(|(method, _)| *method).collect()
-    } else {
-        arguments.methods.clone()
+    let methods = match &arguments.methods[..] {
+        [] => METHODS.iter().map(|(method, _)| *method).collect(),
+        chosen => chosen.to_vec(),
     };
+    let torque_hz = arguments.torque_hz.or(rows.torque_hz);
     Ok(IdentifyConfig {
         methods,
         columns: arguments.columns.clone(),
         prepare: PrepareConfig {
             motion_hz: arguments.motion_hz.unwrap_or(rows.motion_hz),
-            torque_hz: arguments
-                .torque_hz
-                .or(rows.torque_hz)
-                .filter(|hz| *hz > 0.0),
+            torque_hz: torque_hz.filter(|hz| *hz > 0.0),
             still_rad_s: arguments.still_rad_s,
         },
         gains_from_standstill: arguments.gains == Gains::Standstill,
@@ -199,15 +191,13 @@ fn identify_arm(
         Some(out) if !arguments.data_check => out,
         _ => return show_check(&judgement),
     };
-    if !arguments.force
-        && let Err(refused) = sound(
-            &judgement,
-            &arguments.logs,
-            "no bank; --force identifies all the same",
-        )
-    {
-        remove_stale(out, &RESULTS)?;
-        return Err(refused);
+    if !arguments.force {
+        let way = "no bank; --force identifies all the same";
+        let judged = sound(&judgement, &arguments.logs, way);
+        if judged.is_err() {
+            remove_stale(out, &RESULTS)?;
+            return judged;
+        }
     }
     let bar = ProgressBar::new_spinner();
     // A template that does not parse would only cost the line its looks.
@@ -217,16 +207,12 @@ fn identify_arm(
     bar.enable_steady_tick(Duration::from_millis(100));
     let files = ReportFiles::create(out)?;
     let lines = Lines::new();
-    let mut outcome = identify(
-        robot,
-        &arguments.logs,
-        &arguments.validate,
-        config,
-        &|message| {
-            lines.show(|| format!("identify: {message}"));
-            bar.set_message(message.to_owned());
-        },
-    )?;
+    let progress = |message: &str| {
+        lines.show(|| format!("identify: {message}"));
+        bar.set_message(message.to_owned());
+    };
+    let (logs, validate) = (&arguments.logs, &arguments.validate);
+    let mut outcome = identify(robot, logs, validate, config, &progress)?;
     bar.finish_and_clear();
     let report = &mut outcome.report;
     report.findings.extend(judgement.findings.iter().cloned());
@@ -236,10 +222,7 @@ fn identify_arm(
     let report = &outcome.report;
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
-    let bank = match refused {
-        Some(_) => None,
-        None => bank(robot, &outcome),
-    };
+    let bank = refused.map_or_else(|| bank(robot, &outcome), |_| None);
     remove_stale(out, &RESULTS)?;
     let shown = files.finish(report, &page(report, &outcome.trace))?;
     for note in &report.notes {

@@ -20,7 +20,7 @@ use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::closed_loop::{
     self, ClosedLoopLog, ClosedLoopReport, RunDescription,
 };
-use foretorque_workbench::robot::Robot;
+use foretorque_workbench::robot::{Joint, Robot};
 use foretorque_workbench::telemetry::{Recorder, Selection};
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::PathBuf;
@@ -122,11 +122,8 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
             ..board.hello().configuration
         })?;
     }
-    if robot
-        .joints
-        .iter()
-        .any(|joint| joint.limits.torque > f64::from(Effort::MAX))
-    {
+    let beyond = |joint: &Joint| joint.limits.torque > f64::from(Effort::MAX);
+    if robot.joints.iter().any(beyond) {
         let gains: JointVector<N> = gains_for_currents(robot)?;
         let mut with_gains = bank.map_or_else(|| board.read_bank(), Ok)?;
         with_gains.drive_gains_nm_a = gains.iter().copied().collect();
@@ -142,10 +139,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let log = Log::<N>::create(arguments, &scene)?;
     let set = board.read_bank()?.set::<A, N, P>();
     let set = set.map_err(BoardError::Bank)?;
-    let started = |motion: &State<N>| {
-        let torque = evaluate::<A, N, P>(&set, &motion_f32(motion));
-        torque.total.cast()
-    };
+    let started = |motion: &State<N>| evaluate::<A, N, P>(&set, &motion_f32(motion)).total.cast();
     let log = close_loop(arguments, &mut scene, &mut board, log, &started)?;
     board.learning(false)?;
     board.stream(0, 1)?;
@@ -179,9 +173,8 @@ fn gains_for_currents<const N: usize>(robot: &Robot) -> Result<JointVector<N>, F
             )));
         }
     }
-    Ok(JointVector::from_fn(|j, _| {
-        robot.joints[j].drive.gain as f32
-    }))
+    let gain = |j: usize| robot.joints[j].drive.gain as f32;
+    Ok(JointVector::from_fn(|j, _| gain(j)))
 }
 
 /// Plays the scene to its end, or to that of the board's excitation.
@@ -197,10 +190,8 @@ fn close_loop<const N: usize>(
     let mut play = ClosedLoop::new(plant, &scene.pd, path, PERIOD_S, Some(board))?;
     board.learning(arguments.learn)?;
     let watched = Field::Quality.bit() | Field::Decision.bit();
-    let chosen = arguments
-        .telemetry
-        .map(|chosen| (chosen.fields, chosen.every));
-    let (fields, every) = chosen.unwrap_or((watched, WATCH_TICKS));
+    let chosen = arguments.telemetry;
+    let (fields, every) = chosen.map_or((watched, WATCH_TICKS), |own| (own.fields, own.every));
     board.stream(fields | watched, every)?;
     log.every = every;
     if let Some(chosen) = arguments.telemetry {
@@ -321,11 +312,7 @@ fn load_excitation<A: Arm<N, P>, const N: usize, const P: usize>(
     let program = series.program::<N>(A::hash(), periods as u16, tracking_rad)?;
     board.load_excitation(&program)?;
     scene.ticks = ((periods * series.period_s + AROUND_S) / PERIOD_S) as usize;
-    let waiting = State {
-        q: beside(series, robot),
-        qd: Joints::zeros(),
-        qdd: Joints::zeros(),
-    };
+    let waiting = State::rest(beside(series, robot));
     scene.trajectory = Trajectory::Sampled(vec![(0.0, waiting)]);
     Ok(())
 }

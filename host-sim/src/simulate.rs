@@ -117,23 +117,17 @@ impl MotionArguments {
     pub(super) fn scene<const N: usize>(&self, robot: &Robot) -> Result<Scene<N>, Failure> {
         let robot = &with_rotors(robot)?;
         let other_size = || unsupported(N);
-        let truth = if self.exact {
-            robot.clone()
-        } else {
-            robot.perturbed(self.seed, &Perturbation::PLANT)
+        let truth = match self.exact {
+            true => robot.clone(),
+            false => robot.perturbed(self.seed, &Perturbation::PLANT),
         };
         let config = PlantConfig {
             torque_noise: self.torque_noise,
             ..self.disturbances.plant_config()?
         };
         let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
-        let trajectory = Trajectory::load(
-            &self.trajectory,
-            robot,
-            self.seed,
-            self.duration_s,
-            PERIOD_S,
-        )?;
+        let (name, duration_s) = (&self.trajectory, self.duration_s);
+        let trajectory = Trajectory::load(name, robot, self.seed, duration_s, PERIOD_S)?;
         let asked_s = self.duration_s.unwrap_or(f64::INFINITY);
         let duration_s = match &trajectory {
             Trajectory::Excitation { duration_s, .. } => *duration_s,
@@ -185,10 +179,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     arguments.verdict.show(&troubles)?;
     let errors = seen.tracking_rms_mrad();
     let errors: Vec<String> = errors.iter().map(|error| format!("{error:.3}")).collect();
-    show!(
-        "{} ticks, tracking errors of the joints {} mrad RMS",
-        scene.ticks,
-        errors.join(", ")
-    )?;
+    let (ticks, errors) = (scene.ticks, errors.join(", "));
+    show!("{ticks} ticks, tracking errors of the joints {errors} mrad RMS")?;
     arguments.verdict.judge(&troubles)
 }

@@ -84,11 +84,8 @@ impl Arguments {
 /// Starts a table of `shares` of the torque of every joint, beside the times if there are any.
 fn create(out: &Path, timed: bool, shares: &[&str], joints: usize) -> Result<TableWriter, Failure> {
     let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
-    header.extend(
-        shares
-            .iter()
-            .flat_map(|share| joint_columns(share, "nm", joints)),
-    );
+    let columns = shares.iter();
+    header.extend(columns.flat_map(|share| joint_columns(share, "nm", joints)));
     Ok(TableWriter::create(out, &header)?)
 }
 
@@ -113,9 +110,8 @@ fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), F
         let motion = state.motion.into();
         let rigid = model.inverse_dynamics(&motion);
         let drives = robot.joints.iter().zip(motion.qd.iter());
-        let friction: Vec<f64> = drives
-            .map(|(drive, qd)| drive.friction.sliding(*qd))
-            .collect();
+        let friction = drives.map(|(drive, qd)| drive.friction.sliding(*qd));
+        let friction: Vec<f64> = friction.collect();
         let total = rigid.iter().zip(&friction).map(|(a, b)| a + b);
         let shares = total.chain(rigid.iter().copied()).chain(friction.clone());
         table.row(row(state.t_s, shares))?;

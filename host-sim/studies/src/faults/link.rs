@@ -234,11 +234,7 @@ pub(super) fn foreign_frames(
     let name = "frames of another version or robot";
     on_line(name, transport, ticks, true, |_, frames| {
         let injected = random.random_ratio(1, 4);
-        let first = if injected {
-            foreign(&mut random)
-        } else {
-            Vec::new()
-        };
+        let first = injected.then(|| foreign(&mut random)).unwrap_or_default();
         ([first, bytes_of(frames)].concat(), u64::from(injected))
     })
 }

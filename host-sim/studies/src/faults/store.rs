@@ -92,9 +92,8 @@ pub fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
         if random.random() {
             let steps = (new.len() + HEADER_BYTES).div_ceil(4) as u64 + 1;
             let torn = Torn::SECTOR[random.random_range(0..Torn::SECTOR.len())];
-            store
-                .flash_mut()
-                .cut_after(random.random_range(0..steps), torn);
+            let step = random.random_range(0..steps);
+            store.flash_mut().cut_after(step, torn);
         }
         let acknowledged = store.save(Ur5::HASH, &new).is_ok();
         store.flash_mut().power_on();
@@ -148,10 +147,9 @@ pub fn protected<const S: usize>(
             let refused = store.save(Ur5::HASH, &set(saves + 1)).is_err();
             let found = load(&mut store);
             let kept = refused
-                && if saves == 0 {
-                    found.is_err()
-                } else {
-                    found == Ok(set(saves))
+                && match saves {
+                    0 => found.is_err(),
+                    _ => found == Ok(set(saves)),
                 };
             store.flash_mut().protect(Protection::None);
             campaign.case(kept, keeps(&mut store, saves + 1));

@@ -87,13 +87,17 @@ impl Timeline {
             pending: 0,
             campaign: Campaign::new(name, board_name),
         };
-        let configured = timeline.frame(&HostMessage::Configure(Configuration {
+        let configuration = Configuration {
             pacing,
             ..Configuration::default()
-        }));
-        timeline.deliver(&configured);
-        let learns = timeline.frame(&HostMessage::Learning { on: true });
-        timeline.deliver(&learns);
+        };
+        for message in [
+            HostMessage::Configure(configuration),
+            HostMessage::Learning { on: true },
+        ] {
+            let frame = timeline.frame(&message);
+            timeline.deliver(&frame);
+        }
         Ok(timeline)
     }
 
@@ -175,15 +179,20 @@ impl Timeline {
         }
     }
 
+    /// An undamaged period.
+    fn work(&mut self) {
+        self.periods += 1;
+        self.sent = self.sent.max(self.periods - 1);
+        let mut line = self.sample();
+        line.extend(self.command().unwrap_or_default());
+        self.deliver(&line);
+        self.timer();
+    }
+
     /// Undamaged periods, in which the board must come back to torque; the campaign's counts.
     fn close(mut self) -> Campaign {
         for _ in 0..CLEAN_TICKS {
-            self.periods += 1;
-            self.sent = self.sent.max(self.periods - 1);
-            let mut line = self.sample();
-            line.extend(self.command().unwrap_or_default());
-            self.deliver(&line);
-            self.timer();
+            self.work();
         }
         let back = self.state() == SafetyState::Armed;
         self.campaign.recovered -= u64::from(!back && self.campaign.recovered > 0);
@@ -254,11 +263,7 @@ mod tests {
     fn a_board_that_ages_too_slowly_breaks_the_promise_of_the_time_out() {
         let mut timeline = Timeline::new(Pacing::Link, "slow timer").unwrap();
         for _ in 0..20 {
-            timeline.periods += 1;
-            let mut line = timeline.sample();
-            line.extend(timeline.command().unwrap_or_default());
-            timeline.deliver(&line);
-            timeline.timer();
+            timeline.work();
         }
         assert_eq!(timeline.state(), SafetyState::Armed);
         for k in 0..100 {
@@ -270,9 +275,7 @@ mod tests {
             timeline.observe();
         }
         let campaign = timeline.campaign;
-        assert!(
-            campaign.mistimed > 0 && campaign.wrong_torques > 0,
-            "{campaign:?}"
-        );
+        let noticed = campaign.mistimed > 0 && campaign.wrong_torques > 0;
+        assert!(noticed, "{campaign:?}");
     }
 }

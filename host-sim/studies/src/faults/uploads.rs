@@ -95,18 +95,16 @@ pub(super) fn bad_uploads(
 /// The messages of an upload of the first `length` bytes of `bank`, with the commit of all of it.
 fn upload(bank: &[u8], length: usize) -> Vec<HostMessage<JOINTS>> {
     let pieces = bank.get(..length).unwrap_or(bank).chunks(CHUNK).enumerate();
-    let mut messages: Vec<_> = pieces
-        .map(|(place, piece)| HostMessage::BankWrite {
-            offset: (place * CHUNK) as u16,
-            bytes: piece.iter().copied().collect(),
-        })
-        .collect();
-    messages.push(HostMessage::BankCommit {
+    let pieces = pieces.map(|(place, piece)| HostMessage::BankWrite {
+        offset: (place * CHUNK) as u16,
+        bytes: piece.iter().copied().collect(),
+    });
+    let commit = HostMessage::BankCommit {
         length: bank.len() as u16,
         crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bank),
         mac: None,
-    });
-    messages
+    };
+    pieces.chain([commit]).collect()
 }
 
 /// Uploads what must not be taken over. True when the board took it.
@@ -118,10 +116,9 @@ fn spoilt_upload(
 ) -> Result<bool, BoardError> {
     let bank = spoilt_bank(bad, number, random);
     let cut = matches!(bad, BadUpload::Interrupted | BadUpload::Reset);
-    let length = if cut {
-        random.random_range(0..bank.len())
-    } else {
-        bank.len()
+    let length = match cut {
+        true => random.random_range(0..bank.len()),
+        false => bank.len(),
     };
     let mut messages = upload(&bank, length);
     let committed = bad != BadUpload::Interrupted || random.random();
@@ -153,13 +150,10 @@ fn spoilt_bank(bad: BadUpload, number: u32, random: &mut ChaCha8Rng) -> Vec<u8> 
     match bad {
         BadUpload::WrongRobot => bank.arm_hash ^= 1 << random.random_range(0..32),
         BadUpload::StrangeNumber => {
-            let value = *[f32::NAN, f32::INFINITY, f32::NEG_INFINITY]
-                .choose(random)
-                .unwrap_or(&f32::NAN);
-            let (column, weight) = (
-                random.random_range(0..bank.columns.len()),
-                random.random_range(0..bank.weights.len()),
-            );
+            let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+            let value = *values.choose(random).unwrap_or(&f32::NAN);
+            let column = random.random_range(0..bank.columns.len());
+            let weight = random.random_range(0..bank.weights.len());
             match random.random_range(0..4) {
                 0 => bank.columns[column].value = value,
                 1 => bank.columns[column].deviation = value,
@@ -202,9 +196,7 @@ mod tests {
             offset: 0,
         };
         host.rig.ask(&offset).unwrap();
-        assert!(
-            host.rig.wrong_torques > 0,
-            "the bank differs from the reference's"
-        );
+        // The bank differs from the reference's.
+        assert!(host.rig.wrong_torques > 0);
     }
 }

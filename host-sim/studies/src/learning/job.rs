@@ -2,8 +2,7 @@
 
 use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
-use crate::StudyError;
-use crate::bank_of;
+use crate::{StudyError, bank_of};
 use foretorque::arm::Arm;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::learning::rated_payload;
@@ -143,13 +142,8 @@ impl<const N: usize> Bench<N> {
     ) -> Result<ParameterBank, StudyError> {
         let path = PLAIN.trajectory::<N>(&self.described, self.seed.wrapping_add(900), false);
         let plant = self.plant(&PLAIN, source)?;
-        let trace = self.run::<A, P>(
-            (plant, source),
-            &path,
-            Some((start, false)),
-            PLAIN.ticks(false),
-            0.0,
-        )?;
+        let (ticks, frozen) = (PLAIN.ticks(false), Some((start, false)));
+        let trace = self.run::<A, P>((plant, source), &path, frozen, ticks, 0.0)?;
         let start = start.set::<A, N, P>()?;
         Ok(trace.rows.fit::<A, P>(&start))
     }
@@ -165,18 +159,10 @@ impl<const N: usize> Bench<N> {
         let path = scenario.trajectory::<N>(&self.described, self.seed, quick);
         let rated = f64::from(rated_payload::<A, N, P>());
         let events = scenario.events::<N>(&self.described, rated, self.seed, quick);
-        let plant = self.plant(scenario, source)?;
-        let plant = plant
-            .with_events(events.clone())
-            .with_faults(scenario.faults);
-        let ticks = scenario.ticks(quick);
-        let learnt = self.run::<A, P>(
-            (plant.clone(), source),
-            &path,
-            Some((bank, true)),
-            ticks,
-            EARLY_S,
-        )?;
+        let plant = self.plant(scenario, source)?.with_events(events);
+        let plant = plant.with_faults(scenario.faults);
+        let (ticks, learning) = (scenario.ticks(quick), Some((bank, true)));
+        let learnt = self.run::<A, P>((plant.clone(), source), &path, learning, ticks, EARLY_S)?;
         let mut figures = Figures::new();
         let mut put = |name: &'static str, value: f64| figures.insert(name, value);
         let last = |t_s: f64| learnt.curve.iter().rfind(|(at, _)| *at <= t_s + 1e-9);
@@ -185,14 +171,10 @@ impl<const N: usize> Bench<N> {
         let windows = learnt.windows();
         if !windows.is_empty() {
             let worse = windows.iter().filter(|ratio| **ratio > 1.05).count();
-            put(
-                "windows_above_1.05_percent",
-                100.0 * worse as f64 / windows.len() as f64,
-            );
-            put(
-                "worst_window_ratio",
-                windows.iter().copied().fold(0.0, f64::max),
-            );
+            let percent = 100.0 * worse as f64 / windows.len() as f64;
+            put("windows_above_1.05_percent", percent);
+            let worst = windows.iter().copied().fold(0.0, f64::max);
+            put("worst_window_ratio", worst);
         }
         let sum = |k: usize| learnt.seconds.iter().map(|s| s[k]).sum::<f64>();
         put("mean_over_start_ratio", (sum(0) / sum(1)).sqrt());
@@ -203,14 +185,10 @@ impl<const N: usize> Bench<N> {
         }
         if let Event::Payloads(share) = scenario.event {
             let mass = share * rated;
-            let errors = learnt
-                .weighed
-                .iter()
-                .map(|found| 100.0 * (found / mass - 1.0).abs());
-            put(
-                "payload_mass_error_worst_percent",
-                errors.fold(0.0, f64::max),
-            );
+            let found = learnt.weighed.iter();
+            let errors = found.map(|found| 100.0 * (found / mass - 1.0).abs());
+            let worst = errors.fold(0.0, f64::max);
+            put("payload_mass_error_worst_percent", worst);
         }
         if scenario.against_batch {
             let set = bank.set::<A, N, P>()?;
@@ -227,10 +205,8 @@ impl<const N: usize> Bench<N> {
             let alone = self.run::<A, P>((plant, source), &path, None, ticks, 0.0)?;
             let alone = alone.tracking.mean_rms_mrad();
             put("tracking_truth_over_pd_ratio", truth / alone);
-            put(
-                "tracking_over_pd_ratio",
-                learnt.tracking.mean_rms_mrad() / alone,
-            );
+            let learnt = learnt.tracking.mean_rms_mrad();
+            put("tracking_over_pd_ratio", learnt / alone);
         }
         if start == Start::Description {
             let above = learnt.curve.iter().rfind(|(_, error)| *error > 0.35);

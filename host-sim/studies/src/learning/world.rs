@@ -366,9 +366,8 @@ impl Scenario {
                 Event::Payloads(share) => {
                     let to_s = from_s + 0.5 * CYCLE_S;
                     let com = [0.02, -0.01, 0.05];
-                    events
-                        .payloads
-                        .push(Payload::cube(share * rated, com, from_s, to_s));
+                    let payload = Payload::cube(share * rated, com, from_s, to_s);
+                    events.payloads.push(payload);
                 }
                 Event::Pushes => events.pushes.push(push(robot, from_s, &mut random)),
             }
