@@ -13,7 +13,7 @@ use foretorque_studies::excitation::{self, ExcitationConfig};
 use foretorque_studies::learning::soak::{self, SoakConfig};
 use foretorque_studies::learning::{self, LearningConfig};
 use foretorque_studies::paper::{self, PaperConfig};
-use foretorque_studies::{Outcome, Progress, Records, StudyError, efficiency, real_ur5, replay};
+use foretorque_studies::{Outcome, Progress, Records, efficiency, real_ur5, replay};
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::Robot;
@@ -235,25 +235,25 @@ fn list() -> Result<(), Failure> {
 }
 
 impl Out {
-    fn study<R: Serialize, E: Into<Failure>>(
+    fn study<R: Serialize>(
         &self,
-        work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, E>,
+        work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, Failure>,
     ) -> Result<(), Failure> {
         study(&self.out, &self.snapshot, work)
     }
 }
 
 /// Runs `work` and writes its report into `out`.
-fn study<R: Serialize, E: Into<Failure>>(
+fn study<R: Serialize>(
     out: &Path,
     snapshot: &Snapshot,
-    work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, E>,
+    work: impl FnOnce(Progress<'_>) -> Result<Outcome<R>, Failure>,
 ) -> Result<(), Failure> {
     // A place that cannot be written or compared is refused before the work.
     snapshot.check()?;
     let files = ReportFiles::create(out)?;
     let bar = Bar::new();
-    let outcome = work(&|stage, done, all| bar.show(stage, done, all)).map_err(Into::into)?;
+    let outcome = work(&|stage, done, all| bar.show(stage, done, all))?;
     drop(bar);
     let page = files.finish(&outcome.report, &outcome.page)?;
     show!("{}", outcome.text.trim_end())?;
@@ -264,13 +264,13 @@ fn study<R: Serialize, E: Into<Failure>>(
 impl Jobs {
     fn study<R: Serialize>(
         &self,
-        work: impl FnOnce(&Records, &Path, Progress<'_>) -> Result<Option<Outcome<R>>, StudyError>,
+        work: impl FnOnce(&Records, &Path, Progress<'_>) -> Result<Option<Outcome<R>>, Failure>,
     ) -> Result<(), Failure> {
         let out = self.out.clone().unwrap_or_default();
         if let Some(file) = &self.records {
             let bar = Bar::new();
             let progress = |stage, done, all| bar.show(stage, done, all);
-            return Ok(work(&Records::Write(file.clone()), &out, &progress).map(drop)?);
+            return work(&Records::Write(file.clone()), &out, &progress).map(drop);
         }
         let records = match &self.from {
             Some(file) => Records::Read(file.clone()),
@@ -305,7 +305,7 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
         let mut usart = usart.transpose()?;
         let boards = (&mut bulk, usart.as_mut());
         let names = (choice.to_string(), choice.toolchain(Ur5::NAME));
-        Ok::<_, Failure>(demo::run(&config, names, boards, progress)?)
+        demo::run(&config, names, boards, progress)
     })
 }
 
@@ -321,8 +321,9 @@ fn run_learning(arguments: &Learning) -> Result<(), Failure> {
         only: arguments.only.clone(),
         quick: arguments.quick,
     };
-    let work = |progress: Progress<'_>| learning::run(&config, progress);
-    study(out, &arguments.snapshot, work)
+    study(out, &arguments.snapshot, |progress| {
+        learning::run(&config, progress)
+    })
 }
 
 fn run_paper(arguments: &Paper) -> Result<(), Failure> {
@@ -343,7 +344,7 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
     let choice = &arguments.board;
     arguments.out.study(|progress| {
         if *choice == BoardChoice::Native {
-            return Ok::<_, Failure>(soak::run(&config, None, progress)?);
+            return soak::run(&config, None, progress);
         }
         let mut board = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
@@ -355,6 +356,6 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
             )),
             other => other.into(),
         })?;
-        Ok(soak::run(&config, Some(&mut board), progress)?)
+        soak::run(&config, Some(&mut board), progress)
     })
 }

@@ -31,7 +31,7 @@ use std::process::ExitCode;
 use terminal::show;
 
 /// Whatever stopped a command, as one line.
-type Failure = Box<dyn Error>;
+type Failure = Box<dyn Error + Send + Sync>;
 
 /// Exit code of a failure: 2 for a wrong command line, of which an option is named first, 1 for all else.
 fn exit_code(failure: &Failure) -> u8 {

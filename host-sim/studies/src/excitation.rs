@@ -7,7 +7,6 @@ use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::robot::{Placement, Robot, segment_distance};
 use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
-use std::fmt::Write;
 
 /// Settings of the campaign.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,14 +31,10 @@ impl ExcitationConfig {
     /// The campaign for a robot; if `quick`, short searches on few points, which do not reach the lowest condition numbers.
     pub fn new(quick: bool, robot: &str, seed: u64, seeds: u64) -> Self {
         let search = SearchConfig::default();
+        let (starts, iterations) = (search.starts, search.iterations);
         let (points, starts, iterations, condition_limit) = match quick {
             true => (2000, 4, 40, 200.0),
-            false => (
-                100_000,
-                search.starts,
-                search.iterations,
-                search.condition_limit,
-            ),
+            false => (100_000, starts, iterations, search.condition_limit),
         };
         Self {
             robot: robot.to_owned(),
@@ -124,9 +119,9 @@ fn search(robot: &Robot, config: &ExcitationConfig, seed: u64) -> Result<SeedRec
         ..SearchConfig::default()
     };
     let mut excitation = optimise(robot, &search, None, |_, _| ())?;
-    let uncertified = || StudyError::Unusable("the excitation has no certificate".to_owned());
-    let recount =
-        recount(robot, &excitation, search.range_rad, config.points).ok_or_else(uncertified)?;
+    let uncertified = || StudyError::from("the excitation has no certificate".to_owned());
+    let recount = recount(robot, &excitation, search.range_rad, config.points);
+    let recount = recount.ok_or_else(uncertified)?;
     let certificate = excitation.certificate.take().ok_or_else(uncertified)?;
     Ok(SeedRecord {
         seed,
@@ -149,22 +144,23 @@ fn outcome(config: ExcitationConfig, seeds: Vec<SeedRecord>) -> Outcome<Excitati
         config,
         seeds,
     };
-    let mut text = String::new();
-    for r in &report.seeds {
-        let _ = writeln!(
-            text,
-            "seed {:<3} {:.4} %  condition number {:.2}  {} violations",
-            r.seed, r.predicted_nrmse_percent, r.condition_number_dh, r.recount.violations
-        );
-    }
-    let _ = writeln!(
-        text,
-        "worst    {:.4} %  condition number {:.2}  {} violations on {} points each",
+    let line = |percent: f64, condition: f64, violations: u64| {
+        format!("{percent:.4} %  condition number {condition:.2}  {violations} violations")
+    };
+    let lines = report.seeds.iter().map(|own| {
+        let (percent, condition) = (own.predicted_nrmse_percent, own.condition_number_dh);
+        let line = line(percent, condition, own.recount.violations);
+        format!("seed {:<3} {line}\n", own.seed)
+    });
+    let (percent, condition) = (
         report.worst_predicted_nrmse_percent,
         report.worst_condition_number_dh,
-        report.violations,
-        report.config.points
     );
+    let (worst, points) = (
+        line(percent, condition, report.violations),
+        report.config.points,
+    );
+    let text = lines.collect::<String>() + &format!("worst    {worst} on {points} points each\n");
     Outcome {
         page: page(&report),
         report,
@@ -245,14 +241,11 @@ pub fn recount(
         let check = checks.find(|check| check.limit == limit && check.of == of);
         check.map(|check| check.worst)
     };
-    let peaks: Vec<[f64; 3]> = robot
-        .joints
-        .iter()
-        .map(|joint| {
-            let of = |limit| worst(limit, &joint.name);
-            Some([of("velocity")?, of("acceleration")?, of("torque")?])
-        })
-        .collect::<Option<_>>()?;
+    let peaks = robot.joints.iter().map(|joint| {
+        let of = |limit| worst(limit, &joint.name);
+        Some([of("velocity")?, of("acceleration")?, of("torque")?])
+    });
+    let peaks: Vec<[f64; 3]> = peaks.collect::<Option<_>>()?;
     let clear = robot.workspace.clearance;
     let (mut violations, mut beyond) = (0, 0);
     for k in 0..points {
@@ -270,11 +263,8 @@ pub fn recount(
             expect(state.qdd[j].abs() <= limits.acceleration);
             expect(tau <= limits.torque);
             let seen = [state.qd[j].abs(), state.qdd[j].abs(), tau];
-            let over = seen
-                .iter()
-                .zip(&peaks[j])
-                .filter(|(seen, peak)| seen > peak);
-            beyond += over.count() as u64;
+            let pairs = seen.iter().zip(&peaks[j]);
+            beyond += pairs.filter(|(seen, peak)| seen > peak).count() as u64;
         }
         let links = placed(robot, &state.q);
         for (outer, capsules) in links.iter().enumerate() {
@@ -298,14 +288,13 @@ pub fn recount(
 /// Ends of all capsules in the base frame, and their radii, link by link.
 fn placed(robot: &Robot, q: &[f64]) -> Vec<Vec<([Vector3<f64>; 2], f64)>> {
     let mut frame = Placement::identity();
-    let links = robot.joints.iter().zip(q.iter()).map(|(joint, q)| {
+    let links = robot.joints.iter().zip(q).map(|(joint, q)| {
         frame = frame.then(&joint.placement);
         frame.rot_parent_child *= Rotation3::from_axis_angle(&Vector3::z_axis(), *q).matrix();
         let at = |end: Vector3<f64>| frame.origin + frame.rot_parent_child * end;
         let capsules = joint.capsules.iter();
-        capsules
-            .map(|capsule| (capsule.ends.map(at), capsule.radius))
-            .collect()
+        let placed = capsules.map(|own| (own.ends.map(at), own.radius));
+        placed.collect()
     });
     links.collect()
 }

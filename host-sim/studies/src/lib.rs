@@ -14,21 +14,15 @@ pub mod replay;
 
 use foretorque::arm::Arm;
 use foretorque::dynamics::FrictionColumn;
-use foretorque::learning::{ConfigError, ParameterSet};
-use foretorque_link::bank::{BankError, NETWORK_SEED, ParameterBank};
-use foretorque_workbench::Refusal;
-use foretorque_workbench::board::BoardError;
+use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_workbench::files::{at, write_whole};
-use foretorque_workbench::identification::IdentifyError;
 use foretorque_workbench::parallel::in_parallel;
 use foretorque_workbench::report::page::Page;
-use foretorque_workbench::report::plot::PlotError;
 use foretorque_workbench::robot::Robot;
-use foretorque_workbench::table::TableError;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::io;
 use std::path::PathBuf;
 
 /// Progress: stage, steps done, steps in all.
@@ -45,48 +39,12 @@ pub struct Outcome<R> {
     pub text: String,
 }
 
-/// Failure of a study.
-#[derive(Debug, thiserror::Error)]
-pub enum StudyError {
-    /// A request that the study cannot fulfil.
-    #[error("{0}")]
-    Unusable(String),
-    /// A robot with another number of joints.
-    #[error("robots of {0} joints are not supported")]
-    Joints(usize),
-    /// A board that broke off or refused.
-    #[error(transparent)]
-    Board(#[from] BoardError),
-    /// A configuration that the firmware refuses.
-    #[error("{0}")]
-    Config(#[from] ConfigError),
-    /// A file that cannot be read or written.
-    #[error(transparent)]
-    File(#[from] io::Error),
-    /// An identification that fails.
-    #[error(transparent)]
-    Identify(#[from] IdentifyError),
-    /// A file that is no JSON of this program.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
-    /// A robot that cannot be loaded, or an excitation that cannot be found or played.
-    #[error(transparent)]
-    Refused(#[from] Refusal),
-    /// A log that cannot be read.
-    #[error(transparent)]
-    Table(#[from] TableError),
-}
+/// Failure of a study: a sentence of its own, or the error of a board, a file, a log or an identification.
+pub type StudyError = Box<dyn std::error::Error + Send + Sync>;
 
-impl From<BankError> for StudyError {
-    fn from(error: BankError) -> Self {
-        Self::Board(BoardError::Bank(error))
-    }
-}
-
-impl From<PlotError> for StudyError {
-    fn from(error: PlotError) -> Self {
-        Self::File(error.into())
-    }
+/// The failure for a robot with another number of joints.
+fn unsupported(joints: usize) -> StudyError {
+    format!("robots of {joints} joints are not supported").into()
 }
 
 /// The parameter bank of a robot as described: rigid body, viscous and Coulomb friction, networks with zero output.
@@ -169,7 +127,7 @@ fn read<J: PartialEq, R: DeserializeOwned>(
     jobs: &[J],
     job_of: fn(&R) -> J,
 ) -> Result<Vec<R>, StudyError> {
-    let refused = |reason: String| StudyError::Unusable(format!("{}: {reason}", path.display()));
+    let refused = |reason: String| StudyError::from(format!("{}: {reason}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
     let mut found: Vec<Option<R>> = jobs.iter().map(|_| None).collect();
     for (number, line) in (1..).zip(text.lines()) {

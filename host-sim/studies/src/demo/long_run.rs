@@ -5,7 +5,7 @@ use super::{
     BeforeAfter, DemoCurves, DemoReport, LearningPoint, LinkFigures, N, P, TickPhases, Tracking,
     Ur5, UsartFigures, ValidationPoint,
 };
-use crate::{Progress, StudyError, bank_of};
+use crate::{Progress, StudyError, bank_of, unsupported};
 use foretorque::arm::Arm;
 use foretorque::feedforward::Torque;
 use foretorque_link::bank::ParameterBank;
@@ -38,7 +38,7 @@ pub(super) struct Setup<'p> {
 impl<'p> Setup<'p> {
     pub(super) fn new(config: &DemoConfig, progress: Progress<'p>) -> Result<Self, StudyError> {
         let robot = &Robot::load(Ur5::NAME)?;
-        let other_size = || StudyError::Joints(N);
+        let other_size = || unsupported(N);
         let truth = robot.perturbed(config.seed, &Perturbation::PLANT);
         let wrong = truth.perturbed(config.seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
         let search = QuickConfig {

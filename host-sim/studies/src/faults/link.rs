@@ -4,6 +4,7 @@
 use super::Campaign;
 use super::damage::{BadLine, Damage};
 use super::rig::{Frame, Rig, Round};
+use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::safety::SafetyState;
@@ -139,7 +140,7 @@ fn on_line(
     ticks: u32,
     shows: bool,
     mut line: impl FnMut(&mut Host, Vec<Frame>) -> (Vec<u8>, u64),
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new(name, &transport.name());
     let mut host = Host::new(transport, true)?;
     for _ in 0..ticks {
@@ -165,7 +166,7 @@ pub(super) fn damaged_line(
     damage: Damage,
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut line = BadLine::new(damage, ChaCha8Rng::seed_from_u64(seed));
     on_line(damage.name(), transport, ticks, true, |_, frames| {
         let before = line.injected;
@@ -180,7 +181,7 @@ pub(super) fn strange_numbers(
     transport: Box<dyn Transport>,
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let name = "NaN, infinite and denormal numbers";
     on_line(name, transport, ticks, false, |host, frames| {
@@ -229,7 +230,7 @@ pub(super) fn foreign_frames(
     transport: Box<dyn Transport>,
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let name = "frames of another version or robot";
     on_line(name, transport, ticks, true, |_, frames| {

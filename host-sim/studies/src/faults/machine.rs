@@ -110,7 +110,7 @@ impl Trial {
 }
 
 /// `times` failures in a row of one firmware. A torque is wrong when the enable pin is not off before the restart.
-pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> io::Result<Campaign> {
+pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new(crash.name, "qemu (faults)");
     let mut trial = Trial::start(trace)?;
     trial.hello()?;

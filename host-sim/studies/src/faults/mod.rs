@@ -12,18 +12,18 @@ pub mod store;
 mod timed;
 mod uploads;
 
+use crate::StudyError;
 use damage::Damage;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-use foretorque_link::store::{StoreError, slots};
+use foretorque_link::store::slots;
 use foretorque_link::wire::Pacing;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
-use foretorque_workbench::board::{BoardError, Native, Transport};
+use foretorque_workbench::board::{Native, Transport};
 use foretorque_workbench::snapshot::aligned;
 use link::{damaged_line, foreign_frames, strange_numbers};
 use machine::{Crash, crashes, watchdog_bites};
 use rig::Round;
 use serde::Serialize;
-use std::error::Error;
 use std::path::Path;
 use store::{SECTOR, SMALL_SECTOR};
 use timed::{TimedFault, timed};
@@ -187,7 +187,7 @@ enum Board {
 }
 
 impl Board {
-    fn connect(self) -> Result<Box<dyn Transport>, Failure> {
+    fn connect(self) -> Result<Box<dyn Transport>, StudyError> {
         Ok(match self {
             Self::Native => Box::new(Native::<Ur5, JOINTS, PARAMETERS>::new()?),
             Self::Bulk => Box::new(Emulator::start(&QemuOptions::new(Image::Bulk))?),
@@ -196,8 +196,7 @@ impl Board {
     }
 }
 
-type Failure = Box<dyn Error + Send + Sync>;
-type Work = Box<dyn Fn() -> Result<Campaign, Failure> + Send + Sync>;
+type Work = Box<dyn Fn() -> Result<Campaign, StudyError> + Send + Sync>;
 
 /// One campaign to be run, on whatever thread.
 pub struct Scenario {
@@ -207,31 +206,27 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    fn new<E: Into<Failure>>(
+    fn new(
         name: &'static str,
-        work: impl Fn() -> Result<Campaign, E> + Send + Sync + 'static,
+        work: impl Fn() -> Result<Campaign, StudyError> + Send + Sync + 'static,
     ) -> Self {
-        Self {
-            name,
-            work: Box::new(move || work().map_err(Into::into)),
-        }
+        let work = Box::new(work);
+        Self { name, work }
     }
 
     /// Work on a board that is started for it.
     fn on(
         board: Board,
         name: &'static str,
-        work: impl Fn(Box<dyn Transport>) -> Result<Campaign, BoardError> + Send + Sync + 'static,
+        work: impl Fn(Box<dyn Transport>) -> Result<Campaign, StudyError> + Send + Sync + 'static,
     ) -> Self {
-        Self::new(name, move || -> Result<_, Failure> {
-            Ok(work(board.connect()?)?)
-        })
+        Self::new(name, move || work(board.connect()?))
     }
 
     /// Breaks things.
     ///
     /// Errors: a board that cannot be started, or one that is gone for good: that one has not survived.
-    pub fn run(&self) -> Result<Campaign, Failure> {
+    pub fn run(&self) -> Result<Campaign, StudyError> {
         (self.work)()
     }
 }
@@ -308,13 +303,13 @@ fn flash(all: &mut Vec<Scenario>, lengths: Lengths, seed: u64) {
     all.push(Scenario::new("power cuts, small", move || {
         let mut campaign = store::power_cuts::<SMALL_SECTOR>(0..=6, seed)?;
         campaign.name += ", two slots a sector";
-        Ok::<_, StoreError>(campaign)
+        Ok(campaign)
     }));
     all.push(Scenario::new("life of power cuts", move || {
-        Ok::<_, StoreError>(store::power_cut_life::<SMALL_SECTOR>(lengths.saves, seed))
+        Ok(store::power_cut_life::<SMALL_SECTOR>(lengths.saves, seed))
     }));
     all.push(Scenario::new("worn flash", move || {
-        Ok::<_, StoreError>(store::worn::<SMALL_SECTOR>(lengths.saves / 10, 4, seed))
+        Ok(store::worn::<SMALL_SECTOR>(lengths.saves / 10, 4, seed))
     }));
     all.push(Scenario::new("protected flash", move || {
         store::protected::<SMALL_SECTOR>(0..=6, seed)

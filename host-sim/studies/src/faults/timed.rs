@@ -4,6 +4,7 @@
 use super::Campaign;
 use super::damage::{BadLine, Damage};
 use super::link::{CLEAN_TICKS, motion, order};
+use crate::StudyError;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::learning::ConfigError;
 use foretorque::limits::Flags;
@@ -208,7 +209,7 @@ pub(super) fn timed(
     fault: TimedFault,
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, ConfigError> {
+) -> Result<Campaign, StudyError> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (timing, mut line) = match fault {
         TimedFault::Timing(timing) => (timing, None),

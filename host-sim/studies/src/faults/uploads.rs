@@ -3,6 +3,7 @@
 use super::Campaign;
 use super::link::{ARM_EVERY, Host};
 use super::store::set;
+use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::safety::SafetyState;
@@ -61,7 +62,7 @@ pub(super) fn bad_uploads(
     bad: BadUpload,
     times: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new(bad.name(), &transport.name());
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut host = Host::new(transport, false)?;

@@ -2,7 +2,7 @@
 
 use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
-use crate::{StudyError, bank_of};
+use crate::{StudyError, bank_of, unsupported};
 use foretorque::arm::Arm;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::learning::rated_payload;
@@ -40,7 +40,7 @@ impl<const N: usize> Bench<N> {
         let described = arm.described()?;
         let (mut rotors, _) = described.with_assumed_rotors();
         let pd = |robot: &Robot| {
-            let model = ReferenceModel::<N>::new(robot).ok_or(StudyError::Joints(N))?;
+            let model = ReferenceModel::<N>::new(robot).ok_or_else(|| unsupported(N))?;
             Ok::<_, StudyError>(PdConfig::tuned(&model, BANDWIDTH_HZ, PERIOD_S))
         };
         let motor = pd(&rotors)?;
@@ -61,7 +61,7 @@ impl<const N: usize> Bench<N> {
             described,
         };
         let limits = bench.truth.each(|joint| joint.limits.torque);
-        let limits = Joints::<N>::from(limits.ok_or(StudyError::Joints(N))?);
+        let limits = Joints::<N>::from(limits.ok_or_else(|| unsupported(N))?);
         let needed = bench.needed(&bench.plant(&PLAIN, Source::Current)?);
         let squares = needed.iter().fold(Joints::zeros(), |sum: Joints<N>, tau| {
             sum + tau.component_mul(tau) / UNSEEN_POINTS as f64
@@ -72,7 +72,7 @@ impl<const N: usize> Bench<N> {
 
     /// The true arm; errors of its drives belong to the seed, so that all scenarios have the same.
     fn plant(&self, scenario: &Scenario, source: Source) -> Result<Plant<N>, StudyError> {
-        Plant::new(&self.truth, scenario.plant(source), self.seed).ok_or(StudyError::Joints(N))
+        Plant::new(&self.truth, scenario.plant(source), self.seed).ok_or_else(|| unsupported(N))
     }
 
     /// Torques that `plant` needs along the unseen path.

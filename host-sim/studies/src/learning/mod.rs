@@ -7,7 +7,7 @@ pub mod soak;
 mod twin;
 mod world;
 
-use crate::{Outcome, Progress, StudyError};
+use crate::{Outcome, Progress, StudyError, unsupported};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::parallel::{cores, in_parallel};
@@ -88,7 +88,7 @@ pub fn run(
     let all = jobs.len() * runs.sum::<usize>() / 1000;
     if all == 0 {
         let reason = format!("no arm and scenario begin with '{only}': --list shows them");
-        return Err(StudyError::Unusable(reason));
+        return Err(StudyError::from(reason));
     }
     let done = AtomicUsize::new(0);
     let advance = |ticks: usize| {
@@ -123,10 +123,10 @@ fn of_arm(
     let robot = arm.described()?;
     // Arms of the world have five joints or more: each size costs compile time.
     arms!(robot, N, P in (5, 36) (6, 40) (6, 44) (7, 48) (7, 52) (8, 60) => {
-        Described::<N, P>::read(&robot).ok_or(StudyError::Joints(N))?;
+        Described::<N, P>::read(&robot).ok_or_else(|| unsupported(N))?;
         let bench = Bench::<N>::new(arm, seed)?;
         bench.scenarios::<Described<N, P>, P>(arm, config, scenario, done)
-    }, else Err(StudyError::Joints(robot.joint_count())))
+    }, else Err(unsupported(robot.joint_count())))
 }
 
 /// Beginnings of the names of arm and scenario, figure, side, bar.

@@ -2,7 +2,7 @@
 
 use super::PERIOD_S;
 use super::twin::{CHUNK, N, P, Set, twin};
-use crate::{Outcome, Progress, StudyError, bank_of};
+use crate::{Outcome, Progress, StudyError, bank_of, unsupported};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::joint::{JointMeasurement, JointSample};
@@ -129,7 +129,7 @@ impl<'w> Source<'w> {
     fn new(setup: &'w Setup) -> Result<Self, StudyError> {
         let noise = setup.seed.wrapping_mul(1000);
         let plant = Plant::new(&setup.truth, PlantConfig::default(), noise);
-        let plant = plant.ok_or(StudyError::Joints(N))?;
+        let plant = plant.ok_or_else(|| unsupported(N))?;
         let seed = setup.seed.wrapping_add(203);
         let path = ViaPath::random(&setup.described, seed, PATH_S, VALIDATION_PEAK_RAD_S);
         let payload = Payload::cube(2.0, PAYLOAD_COM_M, 0.0, f64::INFINITY);
@@ -217,7 +217,7 @@ pub fn run(
 }
 
 fn stopped(what: &str) -> StudyError {
-    StudyError::Unusable(format!("{what} stopped"))
+    StudyError::from(format!("{what} stopped"))
 }
 
 fn outcome(report: SoakReport) -> Result<Outcome<SoakReport>, StudyError> {

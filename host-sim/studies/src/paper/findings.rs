@@ -52,21 +52,16 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         ));
     }
     let hit = of(None, Some(true));
-    if let (Some((physical, ..)), Some((robust, ..))) = (
-        ratios(&hit, "bp_physical", "wls"),
-        ratios(&hit, "irls", "wls"),
-    ) {
+    let mean = |conditions: &[&Condition], of: &str| Some(ratios(conditions, of, "wls")?.0);
+    if let (Some(physical), Some(robust)) = (mean(&hit, "bp_physical"), mean(&hit, "irls")) {
         out.push(format!(
             "Outliers: with 1 % of them bp_physical has {physical:.3} times the error of weighted least squares, robust least squares \
              (irls) {robust:.3} times: it is the loss and the cleaning that resist outliers, not the network."
         ));
     }
     let peaked = of(Some(FrictionKind::Stribeck), None);
-    if let (Some((physical, ..)), Some((residual, ..)), Some((columns, ..))) = (
-        ratios(&peaked, "bp_physical", "wls"),
-        ratios(&peaked, "bp_residual", "wls"),
-        ratios(&peaked, "irls_stribeck", "wls"),
-    ) {
+    let methods = ["bp_physical", "bp_residual", "irls_stribeck"];
+    if let [Some(physical), Some(residual), Some(columns)] = methods.map(|of| mean(&peaked, of)) {
         out.push(format!(
             "Friction the model does not know (Stribeck): bp_physical {physical:.3} times weighted least squares, small BP networks on \
              what least squares leaves (bp_residual) {residual:.3} times, two more columns in robust least squares {columns:.3} times."
@@ -75,10 +70,8 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     let best = |friction: FrictionKind| {
         let conditions = of(Some(friction), None);
         let names = grid.first().map(|c| c.methods.keys().cloned());
-        let scored = names.into_iter().flatten().filter_map(|name| {
-            let (mean, ..) = ratios(&conditions, &name, "wls")?;
-            Some((mean, name))
-        });
+        let names = names.into_iter().flatten();
+        let scored = names.filter_map(|name| Some((mean(&conditions, &name)?, name)));
         scored.min_by(|a, b| a.0.total_cmp(&b.0))
     };
     for friction in super::FRICTIONS {
@@ -139,23 +132,19 @@ fn samples(conditions: &[Condition]) -> Option<String> {
 pub(super) fn of_times(times: &Times) -> Option<String> {
     let last = |name: &str| times.least_seconds.get(name)?.last().copied();
     let (rows, reference) = last("wls")?;
-    let others: Vec<String> = [
+    let others = [
         "irls",
         "consistent",
         "bp_physical",
         "bp_residual",
         "bp_black_box",
-    ]
-    .iter()
-    .filter_map(|name| {
+    ];
+    let others = others.iter().filter_map(|name| {
         let (_, seconds) = last(name)?;
-        Some(format!(
-            "{name} {:.0} ms ({:.0}×)",
-            1e3 * seconds,
-            seconds / reference
-        ))
-    })
-    .collect();
+        let (ms, times) = (1e3 * seconds, seconds / reference);
+        Some(format!("{name} {ms:.0} ms ({times:.0}×)"))
+    });
+    let others: Vec<String> = others.collect();
     Some(format!(
         "Seconds of training on {rows} rows: weighted least squares {:.1} ms; {}. The BP networks are not the efficient way.",
         1e3 * reference,
@@ -165,14 +154,12 @@ pub(super) fn of_times(times: &Times) -> Option<String> {
 
 /// Geometric mean, least and most of the error of one method over that of another.
 fn ratios(conditions: &[&Condition], of: &str, over: &str) -> Option<(f64, f64, f64)> {
-    let ratios: Vec<f64> = conditions
-        .iter()
-        .filter_map(|c| {
-            let error = |name: &str| Some(c.methods.get(name)?.path_nrmse_ratio);
-            Some(error(of)? / error(over)?)
-        })
-        .filter(|ratio| ratio.is_finite() && *ratio > 0.0)
-        .collect();
+    let ratios = conditions.iter().filter_map(|c| {
+        let error = |name: &str| Some(c.methods.get(name)?.path_nrmse_ratio);
+        Some(error(of)? / error(over)?)
+    });
+    let usable = |ratio: &f64| ratio.is_finite() && *ratio > 0.0;
+    let ratios: Vec<f64> = ratios.filter(usable).collect();
     if ratios.is_empty() {
         return None;
     }

@@ -9,7 +9,7 @@ mod findings;
 mod page;
 mod steps;
 
-use crate::{Outcome, Progress, Records, StudyError};
+use crate::{Outcome, Progress, Records, StudyError, unsupported};
 use cell::{Bench, ROWS};
 pub use cell::{Cell, CellRecord, FRICTIONS, FrictionKind, MethodDraw};
 use foretorque::arm::ur5::JOINTS;
@@ -39,7 +39,7 @@ pub fn run(
 ) -> Result<Option<Outcome<PaperReport>>, StudyError> {
     let robot = Robot::load("ur5")?;
     config.excitation.check(&robot)?;
-    let bench = Bench::new(robot, &config.excitation, ROWS).ok_or(StudyError::Joints(JOINTS))?;
+    let bench = Bench::new(robot, &config.excitation, ROWS).ok_or_else(|| unsupported(JOINTS))?;
     let made_of = PaperConfig {
         seed: 0,
         seeds: 0,

@@ -2,7 +2,7 @@
 
 use super::Curves;
 use super::cell::ROWS;
-use crate::StudyError;
+use crate::{StudyError, unsupported};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, Motion, PerJoint, ReferenceModel, State};
 use foretorque_workbench::excitation::Excitation;
@@ -103,15 +103,15 @@ pub(super) fn run(
     excitation: &Excitation,
     seed: u64,
 ) -> Result<(Steps, Curves), StudyError> {
-    let model = RigidBody::new(robot).ok_or(StudyError::Joints(JOINTS))?;
+    let model = RigidBody::new(robot).ok_or_else(|| unsupported(JOINTS))?;
     let (data, poses, ik_error) = joint_sequence(robot, excitation, &model)?;
     let known = Known::new(&model, &data, arbitrary_path(robot, seed), seed);
     let [plain, fast] = [Descent::Plain, Descent::Accelerated].map(|way| known.physical(way, seed));
-    let samples: Vec<(Motion, PerJoint<f64>, PerJoint<bool>)> = known
-        .training
-        .iter()
-        .map(|(_, state, tau)| ((*state).into(), (*tau).into(), [true; JOINTS].into()))
-        .collect();
+    let samples = known.training.iter().map(|(_, state, tau)| {
+        let moving: PerJoint<bool> = [true; JOINTS].into();
+        ((*state).into(), (*tau).into(), moving)
+    });
+    let samples: Vec<(Motion, PerJoint<f64>, _)> = samples.collect();
     let network = BlackBox::train(&samples, seed, &mut |_, _| ());
     let trained = [
         known.linear("least squares", 1, &known.least_squares()?),
@@ -120,18 +120,21 @@ pub(super) fn run(
         known.black_box("bp_black_box, 18-32-6 ReLU", &network),
     ];
     let path = known.path.iter().zip(&known.path_truth);
-    let path: Vec<_> = path
-        .map(|((t_s, state), truth)| {
-            let box_torque = Joints::from(network.torque(&(*state).into()));
-            (
-                *t_s,
-                *state,
-                [*truth, model.torque(state, &fast.0), box_torque],
-            )
-        })
-        .collect();
+    let path = path.map(|((t_s, state), truth)| {
+        let by_network = Joints::from(network.torque(&(*state).into()));
+        let torques = [*truth, model.torque(state, &fast.0), by_network];
+        (*t_s, *state, torques)
+    });
+    let path: Vec<_> = path.collect();
     let layout = Layout::new(robot, &ColumnSet::plain());
     let values = model.truth.iter().zip(&fast.0);
+    let parameters = layout.parameters.iter().zip(values);
+    let parameters = parameters.map(|(parameter, (truth, value))| ParameterRow {
+        name: parameter.name.clone(),
+        unit: parameter.unit,
+        truth: *truth,
+        value: *value,
+    });
     let steps = Steps {
         inverse_kinematics_poses: poses,
         inverse_kinematics_error_rad: ik_error,
@@ -139,17 +142,7 @@ pub(super) fn run(
         validation_rows: known.validation.len(),
         base_parameters: model.columns.len(),
         trained,
-        parameters: layout
-            .parameters
-            .iter()
-            .zip(values)
-            .map(|(parameter, (truth, value))| ParameterRow {
-                name: parameter.name.clone(),
-                unit: parameter.unit,
-                truth: *truth,
-                value: *value,
-            })
-            .collect(),
+        parameters: parameters.collect(),
         joints: (0..JOINTS).map(|j| joint_torque(&path, j)).collect(),
     };
     let curves = Curves {
@@ -209,7 +202,7 @@ impl<'m> Known<'m> {
         let moment = qr.q().tr_mul(&self.rows.tau);
         qr.r().solve_upper_triangular(&moment).ok_or_else(|| {
             let reason = "the excitation does not show all base parameters";
-            StudyError::Unusable(reason.to_owned())
+            StudyError::from(reason.to_owned())
         })
     }
 
@@ -285,8 +278,8 @@ fn joint_sequence(
     excitation: &Excitation,
     model: &RigidBody,
 ) -> Result<(Vec<Sample>, usize, f64), StudyError> {
-    let inverse =
-        Inverse::<JOINTS>::new(robot, &Placement::identity()).ok_or(StudyError::Joints(JOINTS))?;
+    let inverse = Inverse::<JOINTS>::new(robot, &Placement::identity());
+    let inverse = inverse.ok_or_else(|| unsupported(JOINTS))?;
     let ticks = (excitation.period_s / TICK_S).round() as usize;
     let every = (ticks / ROWS).max(1);
     let mut data = Vec::with_capacity(ROWS);
@@ -295,9 +288,9 @@ fn joint_sequence(
         let t_s = tick as f64 * TICK_S;
         let series = excitation.at::<JOINTS>(t_s);
         let pose = inverse.chain().forward(&series.q);
-        let q = inverse
-            .onwards(&pose, &predicted, JUMP_RAD)
-            .map_err(|error| StudyError::Unusable(format!("excitation at {t_s:.3} s: {error}")))?;
+        let q = inverse.onwards(&pose, &predicted, JUMP_RAD);
+        let q =
+            q.map_err(|error| StudyError::from(format!("excitation at {t_s:.3} s: {error}")))?;
         worst = worst.max((q - series.q).amax());
         predicted = q + (series.qd + series.qdd * (0.5 * TICK_S)) * TICK_S;
         if tick % every == 0 {
@@ -319,10 +312,8 @@ fn joint_torque(path: &[(f64, State<JOINTS>, [Joints<JOINTS>; 3])], j: usize) ->
         root_mean(path.iter().map(|(_, _, tau)| value(tau).powi(2)))
     };
     let peak = |of: usize| {
-        let errors = path
-            .iter()
-            .map(|(_, _, tau)| (tau[of][j] - tau[0][j]).abs());
-        errors.fold(0.0, f64::max)
+        let errors = path.iter().map(|(_, _, tau)| tau[of][j] - tau[0][j]);
+        errors.map(f64::abs).fold(0.0, f64::max)
     };
     JointTorque {
         torque_rms_nm: rms(&|tau| tau[0][j]),
@@ -384,8 +375,8 @@ impl RigidBody {
         for (k, (_, state, torque)) in data.iter().enumerate() {
             let block = self.regressor(state);
             for j in 0..JOINTS {
-                y.row_mut(k * JOINTS + j)
-                    .copy_from(&(block.row(j) / scale[j]));
+                let row = block.row(j) / scale[j];
+                y.row_mut(k * JOINTS + j).copy_from(&row);
                 tau[k * JOINTS + j] = torque[j] / scale[j];
             }
         }

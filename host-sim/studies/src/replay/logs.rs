@@ -86,7 +86,7 @@ pub(super) fn read<const N: usize>(
         let own = WholeLog::open(file, robot)?.period_s();
         let first = *period_s.get_or_insert(own);
         if (own / first - 1.0).abs() > 0.05 {
-            return Err(StudyError::Unusable(format!(
+            return Err(StudyError::from(format!(
                 "{}: rows {:.2} ms apart, those of the first log {:.2} ms: replay them one by one",
                 file.display(),
                 1e3 * own,
@@ -94,12 +94,11 @@ pub(super) fn read<const N: usize>(
             )));
         }
     }
-    let period_s = period_s.ok_or_else(|| StudyError::Unusable("no log".to_owned()))?;
+    let period_s = period_s.ok_or_else(|| StudyError::from("no log".to_owned()))?;
     let prepare = filters(period_s);
     let (columns_found, references) = references(paths, robot, (prepare, seed), progress)?;
-    let missing = COLUMNS
-        .iter()
-        .take_while(|text| Some(**text) != columns_found);
+    let missing = COLUMNS.iter();
+    let missing = missing.take_while(|text| Some(**text) != columns_found);
     notes.extend(missing.map(|text| format!("the logs do not show all columns of {text}")));
     let mut stretches = Vec::new();
     for (number, path) in paths.iter().enumerate() {
@@ -110,17 +109,11 @@ pub(super) fn read<const N: usize>(
             prepared.clear();
             let mut own = Vec::new();
             for file in &path.files {
-                for_each_prepared(
-                    file,
-                    robot,
-                    &layout,
-                    &prepare,
-                    &mut own,
-                    &mut |preparation, stretch| {
-                        found.push(predictions(&layout, &thetas[number], &stretch));
-                        prepared.push((file.clone(), preparation.clone(), stretch));
-                    },
-                )?;
+                let mut take = |preparation: &Preparation, stretch: Prepared| {
+                    found.push(predictions(&layout, &thetas[number], &stretch));
+                    prepared.push((file.clone(), preparation.clone(), stretch));
+                };
+                for_each_prepared(file, robot, &layout, &prepare, &mut own, &mut take)?;
             }
             own.retain(|note| !notes.contains(note));
             notes.extend(own);
@@ -168,18 +161,17 @@ fn references(
         let others = paths.iter().enumerate();
         let others = others.filter(|(other, _)| *other != number || paths.len() == 1);
         let training: Vec<PathBuf> = others.flat_map(|(_, path)| path.files.clone()).collect();
-        batch(
-            robot,
-            (&training, &paths[number].files[..1]),
-            text,
-            prepare,
-            seed,
-        )
+        let logs = (&training[..], &paths[number].files[..1]);
+        batch(robot, logs, text, prepare, seed)
+    };
+    let deficient = |error: &StudyError| {
+        let error = error.downcast_ref();
+        matches!(error, Some(IdentifyError::RankDeficient(..)))
     };
     // None if the logs do not show the parameters.
     let fits = |text: &str| -> Result<Option<Vec<Vec<f64>>>, StudyError> {
         match (0..paths.len()).map(|number| fit(text, number)).collect() {
-            Err(StudyError::Identify(IdentifyError::RankDeficient(..))) => Ok(None),
+            Err(error) if deficient(&error) => Ok(None),
             fitted => fitted.map(Some),
         }
     };
@@ -221,11 +213,8 @@ fn predictions<const N: usize>(
     rows.map(|row| {
         std::array::from_fn(|joint| {
             let columns = row[layout.offset[joint]..].iter();
-            let active = layout.active[joint].iter();
-            columns
-                .zip(active)
-                .map(|(x, &place)| x * theta[place])
-                .sum()
+            let terms = columns.zip(&layout.active[joint]);
+            terms.map(|(x, &place)| x * theta[place]).sum()
         })
     })
     .collect()
@@ -268,9 +257,8 @@ impl<const N: usize> Errors<N> {
     /// RMS error over another one's.
     pub(super) fn over(&self, other: &Self) -> Vec<Option<f64>> {
         let pairs = self.0.iter().zip(&other.0);
-        pairs
-            .map(|(own, other)| Some(own.rmse()? / other.rmse()?))
-            .collect()
+        let ratios = pairs.map(|(own, other)| Some(own.rmse()? / other.rmse()?));
+        ratios.collect()
     }
 }
 
@@ -321,15 +309,14 @@ impl<const N: usize> Scores<N> {
     ) {
         let squares = |torques: &[f64], k: usize| -> f64 {
             let row = &stretch.rows[k];
-            let joints =
-                moving(row).map(|joint| (torques[k * N + joint] - row.tau[joint]) / limits[joint]);
-            joints.map(|share| share * share).sum()
+            let error = |joint: usize| torques[k * N + joint] - row.tau[joint];
+            let shares = moving(row).map(|joint| error(joint) / limits[joint]);
+            shares.map(|share| share * share).sum()
         };
         for begin in (0..stretch.rows.len().saturating_sub(rows)).step_by((rows / 4).max(1)) {
-            let sum = |torques: &[f64]| {
-                (begin..begin + rows)
-                    .map(|k| squares(torques, k))
-                    .sum::<f64>()
+            let sum = |torques: &[f64]| -> f64 {
+                let squares = (begin..begin + rows).map(|k| squares(torques, k));
+                squares.sum()
             };
             let (newest, start) = (sum(&predicted.newest), sum(&predicted.frozen));
             if start > 0.0 {
@@ -365,9 +352,8 @@ pub(super) fn motion_until_close<const N: usize>(
     window: f64,
     close: f64,
 ) -> Option<usize> {
-    let in_motion: Vec<usize> = (0..stretch.rows.len())
-        .filter(|&k| moving(&stretch.rows[k]).next().is_some())
-        .collect();
+    let moves = |&k: &usize| moving(&stretch.rows[k]).next().is_some();
+    let in_motion: Vec<usize> = (0..stretch.rows.len()).filter(moves).collect();
     let window = window as usize;
     // The window must end after the learner has had the time: what counts is motion before the window begins.
     (0..in_motion.len().saturating_sub(window)).find(|&begin| {
