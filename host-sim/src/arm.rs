@@ -57,14 +57,11 @@ pub(super) struct RobotOptions {
 }
 
 impl RobotOptions {
-    /// Errors: those of [`ArmOptions::load`].
     pub(super) fn load(&self) -> Result<Robot, Failure> {
         self.arm.load(&self.robot)
     }
 
     /// The robot, which may have coupled joints; its notes are printed.
-    ///
-    /// Errors: those of [`ArmOptions::import`], and of standard output.
     pub(super) fn load_coupled(&self) -> Result<Robot, Failure> {
         self.arm.load_coupled(&self.robot)
     }
@@ -127,8 +124,6 @@ impl ArmOptions {
     }
 
     /// The arm called `name`, of which each drive turns one joint; its notes are printed.
-    ///
-    /// Errors: as of [`load_coupled`](Self::load_coupled); an arm with coupled joints.
     pub(super) fn load(&self, name: &str) -> Result<Robot, Failure> {
         let robot = self.load_coupled(name)?;
         match robot.coupling {
@@ -140,8 +135,6 @@ impl ArmOptions {
     }
 
     /// The arm called `name`, which may have coupled joints; its notes are printed.
-    ///
-    /// Errors: as of [`import`](Self::import), and of standard output.
     fn load_coupled(&self, name: &str) -> Result<Robot, Failure> {
         let import = self.import(name)?;
         for note in &import.notes {
@@ -152,8 +145,6 @@ impl ArmOptions {
 }
 
 /// `robot` with a rotor at every joint; a note names those that its description has not.
-///
-/// Errors: of standard output.
 pub(super) fn with_rotors(robot: &Robot) -> Result<Robot, Failure> {
     let (robot, assumed) = robot.with_assumed_rotors();
     if !assumed.is_empty() {

@@ -1,7 +1,7 @@
 use super::arm::ArmOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::terminal::show;
-use super::{Failure, unusable};
+use super::{Failure, text_of, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bank::{BankError, ParameterBank};
@@ -9,7 +9,7 @@ use foretorque_link::wire::BankSource;
 use foretorque_link::write_key::{KEY_BYTES, WriteKey};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
-use foretorque_workbench::files::write_whole;
+use foretorque_workbench::files::{at, write_whole};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::snapshot::aligned;
 use std::fs;
@@ -172,7 +172,7 @@ pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
     let mut bytes = Vec::new();
     fs::File::open(path)
         .and_then(|file| file.take(LARGEST + 1).read_to_end(&mut bytes))
-        .map_err(|error| foretorque_workbench::files::at(path, error))?;
+        .map_err(|error| at(path, error))?;
     ParameterBank::decode(&bytes).map_err(|error| unusable(format!("{}: {error}", path.display())))
 }
 
@@ -186,14 +186,10 @@ pub(super) fn bytes(bank: &ParameterBank) -> Result<Vec<u8>, Failure> {
 ///
 /// Errors: the file's, or that it holds no key.
 pub(super) fn read_key(path: &Path) -> Result<WriteKey, Failure> {
-    let text =
-        fs::read_to_string(path).map_err(|error| foretorque_workbench::files::at(path, error))?;
-    let key = key_bytes(text.trim()).and_then(WriteKey::from_slot);
+    let key = key_bytes(text_of(path)?.trim()).and_then(WriteKey::from_slot);
     key.ok_or_else(|| {
-        unusable(format!(
-            "{}: not a write key: 32 hexadecimal digits, not all 0 or f",
-            path.display()
-        ))
+        let way = "32 hexadecimal digits, not all 0 or f";
+        unusable(format!("{}: not a write key: {way}", path.display()))
     })
 }
 

@@ -6,7 +6,7 @@ use foretorque_workbench::board::log::Messages;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::serial::{self, Serial};
 use foretorque_workbench::board::{Client, Native, Transport};
-use foretorque_workbench::files::write_whole;
+use foretorque_workbench::files::{at, write_whole};
 use std::fmt;
 use std::fs;
 use std::path::Path;
@@ -95,9 +95,7 @@ impl BoardChoice {
     /// Errors: of the files; a stream that is no log of the board's firmware.
     pub(super) fn write_log(&self, arm: &str, stream: &Path, file: &Path) -> Result<(), Failure> {
         let elf = self.image().map(|image| image.elf_of(arm));
-        let bytes = |path: &Path| {
-            fs::read(path).map_err(|error| foretorque_workbench::files::at(path, error))
-        };
+        let bytes = |path: &Path| fs::read(path).map_err(|error| at(path, error));
         let lines = Messages::of(&bytes(&elf.unwrap_or_default())?)?.lines(&bytes(stream)?)?;
         fs::remove_file(stream)?;
         write_whole(file, (lines.join("\n") + "\n").as_bytes())?;

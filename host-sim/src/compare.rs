@@ -1,7 +1,7 @@
 use super::terminal::show;
-use super::{Failure, unusable};
+use super::{Failure, text_of, unusable};
 use clap::Args;
-use foretorque_workbench::files::{at, write_whole};
+use foretorque_workbench::files::write_whole;
 use foretorque_workbench::report::page::{Page, Section};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -66,8 +66,7 @@ fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
         true => path.join("report.json"),
         false => path.to_owned(),
     };
-    let text = std::fs::read_to_string(&file).map_err(|error| at(&file, error))?;
-    let report: Value = serde_json::from_str(&text)
+    let report: Value = serde_json::from_str(&text_of(&file)?)
         .map_err(|error| unusable(format!("{}: no report: {error}", file.display())))?;
     let mut figures = BTreeMap::new();
     flatten(String::new(), &report, &mut figures);

@@ -1,9 +1,9 @@
 use super::arm::{RobotOptions, with_rotors};
 use super::terminal::{Bar, show};
-use super::{Failure, finite, positive, unusable};
+use super::{Failure, finite, positive, text_of, unusable};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
-use foretorque_workbench::files::{WholeFile, at, write_whole};
+use foretorque_workbench::files::{WholeFile, write_whole};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{TableWriter, state_columns};
 use std::io::Write;
@@ -158,12 +158,18 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The excitation in a file, which may be of another robot.
+pub(super) fn series(path: &Path) -> Result<Excitation, Failure> {
+    let series = serde_json::from_str(&text_of(path)?);
+    series.map_err(|error| unusable(format!("{}: {error}", path.display())))
+}
+
+/// The excitation for `robot` in a file.
 pub(super) fn read(path: &Path, robot: &Robot) -> Result<Excitation, Failure> {
-    let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
-    let named = |error: &dyn std::fmt::Display| unusable(format!("{}: {error}", path.display()));
-    let excitation: Excitation = serde_json::from_str(&text).map_err(|error| named(&error))?;
-    excitation.check(robot).map_err(|error| named(&error))?;
-    Ok(excitation)
+    let series = series(path)?;
+    let checked = series.check(robot);
+    checked.map_err(|error| unusable(format!("{}: {error}", path.display())))?;
+    Ok(series)
 }
 
 /// Everything but the coefficients.

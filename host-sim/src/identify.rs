@@ -1,13 +1,12 @@
 use super::arm::RobotOptions;
 use super::logs::LogOptions;
 use super::terminal::{Lines, show};
-use super::{Failure, not_negative, positive, sound, unusable};
+use super::{Failure, excite, not_negative, positive, sound, unusable};
 use clap::Args;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
-use foretorque_workbench::excitation::Excitation;
-use foretorque_workbench::files::{at, remove_stale, write_whole};
+use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
     ColumnSet, Finding, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig,
     bank_of_fit, identify, judge, longest_period_s, page, unexplained,
@@ -104,10 +103,7 @@ enum Filter {
 fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
     let mut period_s = arguments.period_s;
     if let Some(path) = &arguments.excitation {
-        let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
-        let series: Excitation = serde_json::from_str(&text)
-            .map_err(|error| unusable(format!("{}: {error}", path.display())))?;
-        period_s = Some(series.period_s);
+        period_s = Some(excite::series(path)?.period_s);
     }
     match (arguments.filter, period_s) {
         (Filter::Butterworth, Some(_)) => Err(unusable(

@@ -23,9 +23,11 @@ mod torque;
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use foretorque_workbench::Refusal;
+use foretorque_workbench::files::at;
 use foretorque_workbench::identification::{Finding, Judgement};
 use foretorque_workbench::snapshot;
 use std::error::Error;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use terminal::show;
@@ -94,9 +96,14 @@ fn unsupported(joints: usize) -> Failure {
     unusable(format!("robots of {joints} joints are not supported"))
 }
 
+/// Content of a text file.
+fn text_of(path: &Path) -> Result<String, Failure> {
+    Ok(fs::read_to_string(path).map_err(|error| at(path, error))?)
+}
+
 /// Refuses to write over what is read.
 fn not_over(input: &Path, out: &Path) -> Result<(), Failure> {
-    let one = |path: &Path| std::fs::canonicalize(path).ok();
+    let one = |path: &Path| fs::canonicalize(path).ok();
     if one(input).is_some_and(|input| one(out) == Some(input)) {
         let name = out.display();
         return Err(unusable(format!("--out {name} is the file that is read")));
@@ -119,11 +126,7 @@ impl Snapshot {
     /// Errors: a snapshot to compare with that cannot be read.
     fn check(&self) -> Result<(), Failure> {
         match &self.file {
-            Some(file) if !self.accept => {
-                std::fs::read(file)
-                    .map_err(|error| foretorque_workbench::files::at(file, error))?;
-                Ok(())
-            }
+            Some(file) if !self.accept => text_of(file).map(drop),
             _ => Ok(()),
         }
     }
@@ -237,7 +240,6 @@ fn parsed() -> Result<CommandLine, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs;
 
     #[test]
     fn the_command_line_has_no_contradictions() {
@@ -249,9 +251,8 @@ mod tests {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let docs = fs::read_dir(root.join("docs")).expect("it is there");
         let docs = docs.map(|entry| entry.expect("it is there").path());
-        docs.filter(|path| path.extension().is_some_and(|end| end == "md"))
-            .chain([root.join("README.md")])
-            .collect()
+        let docs = docs.filter(|path| path.extension().is_some_and(|end| end == "md"));
+        docs.chain([root.join("README.md")]).collect()
     }
 
     /// Code of a page: lines between fences, and text between two backticks, also across a line end.
@@ -274,10 +275,10 @@ mod tests {
         let own = |word: &&str| program.find_subcommand(word).is_some();
         if !words.peek().is_some_and(own) {
             // `cargo test -p host-sim --test …` is not the program's.
-            words
+            let mut names = words
                 .by_ref()
-                .find(|word| matches!(*word, "host-sim" | "test"))
-                .filter(|word| *word == "host-sim")?;
+                .filter(|word| ["host-sim", "test"].contains(word));
+            names.next().filter(|word| *word == "host-sim")?;
             words.next_if_eq(&"--");
         }
         let ends = |word: &&str| matches!(*word, "#" | "|" | "&&" | ";" | "…");
@@ -302,13 +303,11 @@ mod tests {
             }
         }
         let known = |option: &&str| {
-            ["help", "version", ""].contains(option)
-                || command.get_arguments().any(|argument| {
-                    argument.get_long() == Some(option)
-                        || argument
-                            .get_all_aliases()
-                            .is_some_and(|names| names.contains(option))
-                })
+            let is_called = |argument: &clap::Arg| {
+                let names = argument.get_all_aliases().unwrap_or_default();
+                argument.get_long() == Some(option) || names.contains(option)
+            };
+            ["help", "version", ""].contains(option) || command.get_arguments().any(is_called)
         };
         let unknown = asked.into_iter().find(|option| !known(option))?;
         Some(format!("{} has no --{unknown}", command.get_name()))
@@ -322,12 +321,11 @@ mod tests {
         for path in pages() {
             let page = fs::read_to_string(&path).expect("it is text");
             for code in code(&page) {
-                let Some(words) = words(&code, &program) else {
-                    continue;
-                };
-                let wrong = wrong(&words, &program);
-                assert_eq!(wrong, None, "{}: `{code}`", path.display());
-                seen += 1;
+                if let Some(words) = words(&code, &program) {
+                    let wrong = wrong(&words, &program);
+                    assert_eq!(wrong, None, "{}: `{code}`", path.display());
+                    seen += 1;
+                }
             }
         }
         assert!(seen > 60, "only {seen} commands were found");

@@ -42,8 +42,6 @@ impl<const N: usize> MotionLog<N> {
     /// * `answered` its last columns are the board's feed-forward and its flags
     /// * `beside` the log is written as MCAP too
     /// * `gains` drive gains, N·m/A, by which the log has motor currents, A, in the place of torques
-    ///
-    /// Errors: the file system's.
     pub(super) fn create(
         path: &Path,
         beside: bool,
@@ -74,8 +72,6 @@ impl<const N: usize> MotionLog<N> {
     }
 
     /// Adds what was `seen` of a tick. It is written when the rows after it are known.
-    ///
-    /// Errors: the file system's.
     pub(super) fn add(&mut self, record: &TickRecord<N>, seen: Measurement<N>) -> io::Result<()> {
         if self.waiting.len() == WINDOW {
             self.waiting.pop_front();
@@ -101,8 +97,6 @@ impl<const N: usize> MotionLog<N> {
     }
 
     /// Writes what is left and gives the file its name.
-    ///
-    /// Errors: the file system's.
     pub(super) fn finish(mut self) -> io::Result<()> {
         self.write_to(self.waiting.len())?;
         self.table.finish()

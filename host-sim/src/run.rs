@@ -249,9 +249,7 @@ impl<const N: usize> Log<N> {
         Ok(())
     }
 
-    /// Gives all files their names.
-    ///
-    /// Errors: of the files; a run in trouble.
+    /// Gives all files their names; a run in trouble fails.
     fn finish(
         self,
         report: &ClosedLoopReport,
