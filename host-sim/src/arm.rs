@@ -86,9 +86,8 @@ impl ArmOptions {
         let mut import = Robot::load_selected(name, &self.selection())?;
         if let Some(called) = &self.called {
             if !Robot::is_name(called) {
-                return Err(unusable(format!(
-                    "--name {called}: must be lower-case letters, digits and underscores, a letter first"
-                )));
+                let form = "must be lower-case letters, digits and underscores, a letter first";
+                return Err(unusable(format!("--name {called}: {form}")));
             }
             import.robot.name.clone_from(called);
         }
@@ -107,11 +106,8 @@ impl ArmOptions {
         ];
         let joints = import.robot.joint_count();
         for (option, values, place) in places {
-            if values.is_empty() {
-                continue;
-            }
-            if values.len() != 1 && values.len() != joints {
-                let found = values.len();
+            let found = values.len();
+            if ![0, 1, joints].contains(&found) {
                 return Err(unusable(format!(
                     "{option} has {found} values, the arm has {joints} joints"
                 )));

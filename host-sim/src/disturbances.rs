@@ -94,18 +94,16 @@ fn pushed(text: &str) -> Result<During<(usize, f64)>, String> {
 /// Three numbers.
 pub(super) fn triple(text: &str) -> Result<[f64; 3], String> {
     let values: Vec<f64> = text.split(',').map(finite).collect::<Result<_, _>>()?;
-    values
-        .try_into()
-        .map_err(|_| "not three numbers".to_owned())
+    let three = values.try_into();
+    three.map_err(|_| "not three numbers".to_owned())
 }
 
 fn during<T>(
     text: &str,
     what: impl FnOnce(&str) -> Result<T, String>,
 ) -> Result<During<T>, String> {
-    let (happens, time) = text
-        .split_once('@')
-        .ok_or("no @ between what and when it happens")?;
+    let parts = text.split_once('@');
+    let (happens, time) = parts.ok_or("no @ between what and when it happens")?;
     let (from, to) = time.split_once("..").ok_or("no .. between begin and end")?;
     let time_s = finite(from)?..finite(to)?;
     if time_s.start < 0.0 || time_s.is_empty() {
@@ -144,12 +142,9 @@ impl DisturbanceArguments {
         for During { what, time_s } in &self.push {
             let mut torque = Joints::<N>::zeros();
             let (joint, torque_nm) = *what;
-            let missing = || {
-                unusable(format!(
-                    "--push: there is no joint {joint}, the last one is {N}"
-                ))
-            };
-            *torque.get_mut(joint - 1).ok_or_else(missing)? = torque_nm;
+            let missing = format!("--push: there is no joint {joint}, the last one is {N}");
+            let place = torque.get_mut(joint - 1);
+            *place.ok_or_else(|| unusable(missing))? = torque_nm;
             events.pushes.push(Push {
                 torque,
                 from_s: time_s.start,

@@ -106,14 +106,12 @@ impl Arguments {
         if !self.bus.is_simulated() {
             return drive.play(Box::new(wired(&self.bus, profile)?), None);
         }
-        let alone = match self.alone {
-            true => None,
-            false => {
-                let network = Box::new(drive.simulated()?);
-                let played = drive.tracking(network, true, &mut |_| Ok(()))?;
-                Some(played.rms_mrad())
-            }
-        };
+        let mut alone = None;
+        if !self.alone {
+            let network = Box::new(drive.simulated()?);
+            let played = drive.tracking(network, true, &mut |_| Ok(()))?;
+            alone = Some(played.rms_mrad());
+        }
         drive.play(Box::new(drive.simulated()?), alone)
     }
 }
@@ -187,16 +185,14 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     /// The simulated arm at the begin of the path.
     fn simulated(&self) -> Result<SimulatedNetwork<N>, Failure> {
         let arguments = self.arguments;
-        let truth = if arguments.exact {
-            self.robot.clone()
-        } else {
-            self.robot.perturbed(arguments.seed, &Perturbation::PLANT)
+        let truth = match arguments.exact {
+            true => self.robot.clone(),
+            false => self.robot.perturbed(arguments.seed, &Perturbation::PLANT),
         };
         let config = plant_config(arguments.disturbances.plant_config()?);
         let plant = Plant::<N>::new(&truth, config, arguments.seed);
-        let mut plant = plant
-            .ok_or_else(|| unsupported(N))?
-            .with_events(arguments.disturbances.events::<N>()?);
+        let plant = plant.ok_or_else(|| unsupported(N))?;
+        let mut plant = plant.with_events(arguments.disturbances.events::<N>()?);
         plant.place(&self.path.at(0.0).q);
         let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);
         let noise = Joints::from_iterator(limits.map(|limit| REPORT_NOISE * limit));
@@ -330,10 +326,9 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         if let Some(reason) = played.ended {
             return Err(unusable(reason));
         }
+        let (ticks, rate_hz) = (summary.ticks, summary.rate_hz);
         show!(
-            "{} ticks at {} Hz, tracking error {rms:.3} mrad RMS in the second half",
-            summary.ticks,
-            summary.rate_hz
+            "{ticks} ticks at {rate_hz} Hz, tracking error {rms:.3} mrad RMS in the second half"
         )?;
         if let Some((alone, ratio)) = alone_mrad.zip(summary.tracking_ratio) {
             show!("PD of the drives alone: {alone:.3} mrad, ratio {ratio:.2}")?;

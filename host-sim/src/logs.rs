@@ -159,13 +159,11 @@ impl Replay {
         &self,
         robot: &Robot,
     ) -> Result<(), Failure> {
-        let (set, deviations) = match &self.bank {
-            Some(file) => {
-                let bank = bank::read(file)?;
-                (bank.set::<A, N, P>()?, bank.start_deviations::<A, N, P>())
-            }
-            None => (ParameterSet::nominal::<A>(1), StartDeviations::PRIOR),
-        };
+        let (mut set, mut deviations) = (ParameterSet::nominal::<A>(1), StartDeviations::PRIOR);
+        if let Some(file) = &self.bank {
+            let bank = bank::read(file)?;
+            (set, deviations) = (bank.set::<A, N, P>()?, bank.start_deviations::<A, N, P>());
+        }
         let name = |path: &Path| path.display().to_string();
         let start = self.bank.as_deref().map_or("description".to_owned(), name);
         let path = |file: &PathBuf| ReplayPath {

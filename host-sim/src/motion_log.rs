@@ -109,11 +109,9 @@ impl<const N: usize> MotionLog<N> {
             let (qd, qdd) = slopes.at(row.t_s);
             let joints = [&row.q, &qd, &qdd, &row.tau, &row.desired];
             let values = joints.into_iter().flat_map(|joints| joints.iter());
-            self.table.row(
-                std::iter::once(&row.t_s)
-                    .chain(values)
-                    .chain(row.answer.iter().flatten()),
-            )?;
+            let answer = row.answer.iter().flatten();
+            let values = std::iter::once(&row.t_s).chain(values).chain(answer);
+            self.table.row(values)?;
         }
         self.written = self.written.max(end);
         Ok(())
@@ -159,10 +157,8 @@ impl<const N: usize> Quadratic<N> {
     /// Velocity and acceleration at a time, rad/s and rad/s².
     fn at(&self, t_s: f64) -> (Joints<N>, Joints<N>) {
         let [velocity, acceleration] = &self.slopes;
-        (
-            velocity + acceleration * (t_s - self.middle_s),
-            *acceleration,
-        )
+        let moved = acceleration * (t_s - self.middle_s);
+        (velocity + moved, *acceleration)
     }
 }
 
@@ -177,17 +173,11 @@ mod tests {
     fn record(tick: usize) -> TickRecord<1> {
         let t_s = tick as f64 * PERIOD_S;
         let q = Joints::<1>::repeat(1.0 + (3.0 * t_s).sin());
-        let measured = Measurement {
-            q,
-            tau: Joints::repeat(7.0),
-        };
+        let tau = Joints::repeat(7.0);
+        let measured = Measurement { q, tau };
         TickRecord {
             t_s,
-            desired: State {
-                q: Joints::repeat(9.0),
-                qd: Joints::repeat(9.0),
-                qdd: Joints::repeat(9.0),
-            },
+            desired: State::rest(Joints::repeat(9.0)),
             q,
             measured,
             reported: Some(measured),
@@ -206,8 +196,8 @@ mod tests {
         for ticks in [1, 2, 5, 30, 31, 32, 200] {
             let mut log = MotionLog::<1>::create(&path, false, None, true).expect("creates");
             for tick in 0..ticks {
-                log.add(&record(tick), record(tick).measured)
-                    .expect("writes");
+                let record = record(tick);
+                log.add(&record, record.measured).expect("writes");
             }
             log.finish().expect("finishes");
             let rows = StateReader::<1>::open(&path, TimeColumn::Required)

@@ -93,19 +93,19 @@ impl Drop for SignalGuard {
 
 /// The command that is running, to be typed again from the workspace's root.
 pub(super) fn command_line() -> String {
-    std::env::args_os().skip(1).fold(
-        "cargo run --release -p host-sim --".to_owned(),
-        |line, word| line + " " + &quoted(&word.to_string_lossy()),
-    )
+    let start = "cargo run --release -p host-sim --".to_owned();
+    let words = std::env::args_os().skip(1);
+    words.fold(start, |line, word| {
+        line + " " + &quoted(&word.to_string_lossy())
+    })
 }
 
 /// A word as a shell reads it back.
 fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
+    match !word.is_empty() && word.chars().all(plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
     }
 }
 
@@ -155,9 +155,8 @@ impl Bar {
     pub(super) fn new() -> Self {
         let bar = ProgressBar::new(0);
         // A template that does not parse would only cost the bar its looks.
-        if let Ok(style) =
-            ProgressStyle::with_template("{msg:>22} [{bar:32}] {pos}/{len} {per_sec}, {eta} left")
-        {
+        let template = "{msg:>22} [{bar:32}] {pos}/{len} {per_sec}, {eta} left";
+        if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style.progress_chars("=> "));
         }
         Self {
@@ -177,8 +176,8 @@ impl Bar {
         }
         self.bar.set_length(all as u64);
         self.bar.set_position(done as u64);
-        self.lines
-            .show(|| remaining(stage, done, all, begin.elapsed()));
+        let line = || remaining(stage, done, all, begin.elapsed());
+        self.lines.show(line);
     }
 }
 
