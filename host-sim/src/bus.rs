@@ -94,12 +94,11 @@ fn request(ask: &Ask) -> String {
             format!("turn joint {} by {degrees:+.0}° by hand", joint + 1)
         }
         Ask::Weight(None) => {
-            "take every load off the arm and give each joint 45° of room around the pose of rest"
-                .to_owned()
+            let room = "give each joint 45° of room around the pose of rest";
+            format!("take every load off the arm and {room}")
         }
         Ask::Weight(Some(body)) => {
-            let (mass, [x, y, z]) = (body.mass, body.com.into());
-            let at: [f64; 3] = [x, y, z];
+            let (mass, at): (f64, [f64; 3]) = (body.mass, body.com.into());
             format!("fix {mass} kg to the last link, centre of mass at {at:?} m in its frame")
         }
     }
@@ -163,17 +162,15 @@ impl Arguments {
         let fast = |joint: &JointEntry| matches!(joint.drive.protocol, Protocol::Moteus(_));
         let fast = profile.joint.iter().position(fast);
         if let Some(joint) = fast.filter(|_| wires == Wires::Can) {
-            let (file, joint) = (&profile.file, joint + 1);
-            return Err(unusable(format!(
-                "{file}: joint {joint}: its drive needs CAN-FD, which this board does not have"
-            )));
+            let place = format!("{}: joint {}", profile.file, joint + 1);
+            let reason = "its drive needs CAN-FD, which this board does not have";
+            return Err(unusable(format!("{place}: {reason}")));
         }
         let mut wiring = profile.wiring::<A, N, P>(role, wires)?;
         if let Some(only) = self.joint {
             if !(1..=N).contains(&only) {
-                return Err(unusable(format!(
-                    "--joint {only}: the arm has joints 1 to {N}"
-                )));
+                let reason = format!("--joint {only}: the arm has joints 1 to {N}");
+                return Err(unusable(reason));
             }
             let joints = (1..).zip(&mut wiring.joints);
             let others = joints.filter(|(joint, _)| *joint != only);

@@ -38,9 +38,9 @@ pub(super) struct Arguments {
         long,
         value_name = "X,Y,Z",
         default_value = "0,0,0",
-        allow_hyphen_values = true,
-        value_parser = triple
+        allow_hyphen_values = true
     )]
+    #[arg(value_parser = triple)]
     weight_com: [f64; 3],
     /// Seed of the simulated arm and of the search for the excitation
     #[arg(long, default_value_t = 1)]

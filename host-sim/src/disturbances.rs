@@ -19,9 +19,9 @@ pub(super) struct DisturbanceArguments {
         long,
         value_name = "X,Y,Z",
         default_value = "0,0,0.1323",
-        allow_hyphen_values = true,
-        value_parser = triple
+        allow_hyphen_values = true
     )]
+    #[arg(value_parser = triple)]
     payload_com: [f64; 3],
     /// A torque from outside, N·m, on joint J (from 1) from T1 to T2, s; may be given several times
     #[arg(long, value_name = "J:NM@T1..T2", value_parser = pushed)]

@@ -229,15 +229,12 @@ fn identify_arm(
         show!("{kind}  {}", finding.text)?;
     }
     for (joint, gain) in report.drive_gains.iter().enumerate() {
-        let found = gain.std_nm_a.map_or_else(
-            || "of the description, standstill does not tell it".to_owned(),
-            |std| format!("± {std:.3}, description {:.3}", gain.description_nm_a),
-        );
-        show!(
-            "gain  joint {}  {:.3} N·m/A {found}",
-            joint + 1,
-            gain.gain_nm_a
-        )?;
+        let found = match gain.std_nm_a {
+            Some(std) => format!("± {std:.3}, description {:.3}", gain.description_nm_a),
+            None => "of the description, standstill does not tell it".to_owned(),
+        };
+        let (joint, value) = (joint + 1, gain.gain_nm_a);
+        show!("gain  joint {joint}  {value:.3} N·m/A {found}")?;
     }
     show!(
         "rank {}, condition number {:.1} ({})",
@@ -338,12 +335,9 @@ fn show_check(judgement: &Judgement) -> Result<(), Failure> {
     if let Some(condition) = judgement.condition_number_equilibrated {
         show!("every parameter is shown, condition number {condition:.0} at unit length")?;
     }
-    if let Some((delay, deviation)) = judgement.delay_s {
-        show!(
-            "torque delay {:.2} ± {:.2} ms",
-            1e3 * delay,
-            1e3 * deviation
-        )?;
+    if let Some((delay_s, deviation_s)) = judgement.delay_s {
+        let [delay, deviation] = [delay_s, deviation_s].map(|time_s| 1e3 * time_s);
+        show!("torque delay {delay:.2} ± {deviation:.2} ms")?;
     }
     for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
         show!("warning  {}", finding.text)?;

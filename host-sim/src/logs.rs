@@ -84,10 +84,8 @@ const WAIT: Duration = Duration::from_millis(50);
 impl Record {
     pub(super) fn run(&self) -> Result<(), Failure> {
         let BoardChoice::Serial(port) = &self.board else {
-            let board = &self.board;
-            return Err(unusable(format!(
-                "--board {board}: only the line of a board at serial:PORT can be read along"
-            )));
+            let reason = "only the line of a board at serial:PORT can be read along";
+            return Err(unusable(format!("--board {}: {reason}", self.board)));
         };
         let end = self.duration_s.map(Duration::try_from_secs_f64);
         let end = end.transpose()?.map(|duration| Instant::now() + duration);
@@ -106,9 +104,8 @@ impl Record {
             }
         }
         let Some((records, torn)) = overheard.finish().map_err(named)? else {
-            return Err(unusable(format!(
-                "serial:{port}: no telemetry: the host of the board asks for it with Telemetry (docs/protocol.md)"
-            )));
+            let way = "the host of the board asks for it with Telemetry (docs/protocol.md)";
+            return Err(unusable(format!("serial:{port}: no telemetry: {way}")));
         };
         if let Some(error) = gone {
             show!("note: the line ended: {error}")?;

@@ -78,9 +78,9 @@ fn brake_range() -> clap::builder::RangedI64ValueParser<u16> {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let robot = &arguments.robot.load()?;
     if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
+        let board = &arguments.board;
         return Err(unusable(format!(
-            "--log: board {} has none, only qemu-usart",
-            arguments.board
+            "--log: board {board} has none, only qemu-usart"
         )));
     }
     // Before the emulator starts, which would have an error of its own about the file; the emulator finds the directory.
@@ -136,11 +136,16 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     if arguments.excite_on_board {
         load_excitation::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
-    let log = Log::<N>::create(arguments, &scene)?;
+    let mut log = Log {
+        motion: MotionLog::create(&arguments.out.join("log.csv"), true, None, true)?,
+        seen: ClosedLoopLog::new(&scene.robot, scene.ticks),
+        telemetry: None,
+        every: WATCH_TICKS,
+    };
     let set = board.read_bank()?.set::<A, N, P>();
     let set = set.map_err(BoardError::Bank)?;
     let started = |motion: &State<N>| evaluate::<A, N, P>(&set, &motion_f32(motion)).total.cast();
-    let log = close_loop(arguments, &mut scene, &mut board, log, &started)?;
+    close_loop(arguments, &mut scene, &mut board, &mut log, &started)?;
     board.learning(false)?;
     board.stream(0, 1)?;
     board.disarm()?;
@@ -164,12 +169,11 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
 /// Errors: a joint whose gain is too small for that.
 fn gains_for_currents<const N: usize>(robot: &Robot) -> Result<JointVector<N>, Failure> {
     for joint in &robot.joints {
-        let (limit, gain) = (joint.limits.torque, joint.drive.gain);
+        let (name, limit, gain) = (&joint.name, joint.limits.torque, joint.drive.gain);
         if limit / gain > f64::from(Effort::MAX) {
+            let most = format!("the {:.0} A that a sample carries", Effort::MAX);
             return Err(unusable(format!(
-                "joint {}: {limit} N·m at {gain} N·m/A is more than the {:.0} A that a sample carries: give --drive-gains",
-                joint.name,
-                Effort::MAX
+                "joint {name}: {limit} N·m at {gain} N·m/A is more than {most}: give --drive-gains"
             )));
         }
     }
@@ -182,9 +186,9 @@ fn close_loop<const N: usize>(
     arguments: &Arguments,
     scene: &mut Scene<N>,
     board: &mut Client<N>,
-    mut log: Log<N>,
+    log: &mut Log<N>,
     started: &dyn Fn(&State<N>) -> Joints<N>,
-) -> Result<Log<N>, Failure> {
+) -> Result<(), Failure> {
     let bar = Bar::new();
     let (plant, path) = (&mut scene.plant, &scene.trajectory);
     let mut play = ClosedLoop::new(plant, &scene.pd, path, PERIOD_S, Some(board))?;
@@ -211,7 +215,7 @@ fn close_loop<const N: usize>(
             bar.show("run", tick, scene.ticks);
         }
     }
-    Ok(log)
+    Ok(())
 }
 
 /// Everything that a run writes down.
@@ -224,15 +228,6 @@ struct Log<const N: usize> {
 }
 
 impl<const N: usize> Log<N> {
-    fn create(arguments: &Arguments, scene: &Scene<N>) -> Result<Self, Failure> {
-        Ok(Self {
-            motion: MotionLog::create(&arguments.out.join("log.csv"), true, None, true)?,
-            seen: ClosedLoopLog::new(&scene.robot, scene.ticks),
-            telemetry: None,
-            every: WATCH_TICKS,
-        })
-    }
-
     fn add(
         &mut self,
         record: &TickRecord<N>,
@@ -265,12 +260,9 @@ impl<const N: usize> Log<N> {
         write_whole(&out.join("bank.bin"), learnt)?;
         let page = ReportFiles::create(out)?.finish(report, &page)?;
         arguments.verdict.show(&report.troubles)?;
-        show!(
-            "{} ticks, tracking error {:.3} mrad RMS, {} link errors",
-            report.ticks,
-            report.tracking_rms_mrad,
-            report.link.errors()
-        )?;
+        let (ticks, errors) = (report.ticks, report.link.errors());
+        let rms = report.tracking_rms_mrad;
+        show!("{ticks} ticks, tracking error {rms:.3} mrad RMS, {errors} link errors")?;
         if report.run.learning {
             show!("{}", report.learnt.line())?;
         }
@@ -299,9 +291,8 @@ fn load_excitation<A: Arm<N, P>, const N: usize, const P: usize>(
     tracking_rad: f32,
 ) -> Result<(), Failure> {
     let Trajectory::Excitation { series, duration_s } = &scene.trajectory else {
-        return Err(unusable(
-            "--excite-on-board: --trajectory must be an excitation.json",
-        ));
+        let reason = "--excite-on-board: --trajectory must be an excitation.json";
+        return Err(unusable(reason));
     };
     let periods = (duration_s / series.period_s).ceil().max(1.0);
     if periods > f64::from(u16::MAX) {
