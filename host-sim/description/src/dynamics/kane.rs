@@ -78,10 +78,9 @@ impl RigidBodies {
 
     /// Gravity torques G(q), N·m.
     pub fn gravity_torques(&self, q: &[f64]) -> PerJoint<f64> {
-        self.project(&self.kinematics(&Motion {
-            q: q.into(),
-            ..Motion::zeros(q.len())
-        }))
+        let mut motion = Motion::zeros(q.len());
+        motion.q = q.into();
+        self.project(&self.kinematics(&motion))
     }
 
     /// M(q), symmetric and row by row, and h(q, qd), without accelerations in `motion`.
@@ -260,10 +259,8 @@ fn unit_wrenches(
         moment[1 + axis] = first_moment.cross(a);
     }
     // Ixx, Iyy, Izz, Ixy, Ixz, Iyz
-    for (c, (i, j)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
-        .into_iter()
-        .enumerate()
-    {
+    let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+    for (c, (i, j)) in entries.into_iter().enumerate() {
         let mut inertia = Matrix3::zeros();
         inertia[(i, j)] = 1.0;
         inertia[(j, i)] = 1.0;
@@ -294,7 +291,7 @@ impl Motion {
     /// So many joints at rest at zero.
     pub fn zeros(joints: usize) -> Self {
         let zero = PerJoint::repeat(joints, 0.0);
-        let (q, qd, qdd) = (zero, zero, zero);
+        let [q, qd, qdd] = [zero; 3];
         Self { q, qd, qdd }
     }
 }
@@ -308,10 +305,9 @@ impl<T: Copy + Default> PerJoint<T> {
             values: [T::default(); MAX_JOINTS],
             count,
         };
-        out.values[..count]
-            .iter_mut()
-            .zip((0..count).map(of))
-            .for_each(|(value, new)| *value = new);
+        for (value, new) in out.values[..count].iter_mut().zip((0..count).map(of)) {
+            *value = new;
+        }
         out
     }
 

@@ -62,6 +62,7 @@ pub fn write(robot: &Robot) -> String {
         let (limits, friction) = (&part.joint.limits, &part.joint.friction);
         let [name, parent] = &part.names;
         let [xx, yy, zz, xy, xz, yz] = tensor(&part.link);
+        let (lower, upper) = limits.position;
         out += &format!(
             r#"  <joint name="{joint}" type="revolute">
     <parent link="{parent}"/> <child link="{name}"/> <axis xyz="{axis}"/>
@@ -77,8 +78,6 @@ pub fn write(robot: &Robot) -> String {
             joint = escaped(&part.joint.name),
             axis = list(&part.axis),
             origin = origin(&part.placement),
-            lower = limits.position.0,
-            upper = limits.position.1,
             velocity = limits.velocity,
             torque = limits.torque,
             acceleration = limits.acceleration,
@@ -140,9 +139,8 @@ pub fn mjcf(robot: &Robot) -> String {
             viscous = part.joint.friction.viscous,
             coulomb = part.joint.friction.coulomb,
         );
-        motors += &format!(
-            "    <motor name=\"{joint}\" joint=\"{joint}\" ctrlrange=\"-{torque} {torque}\"/>\n"
-        );
+        let range = format!("ctrlrange=\"-{torque} {torque}\"");
+        motors += &format!("    <motor name=\"{joint}\" joint=\"{joint}\" {range}/>\n");
     }
     if let Some((tip, placed)) = tip {
         out += &format!("  <body name=\"{tip}\" {}/>\n", place(&placed));
@@ -170,6 +168,7 @@ pub fn sdf(robot: &Robot) -> String {
         let (limits, friction) = (&part.joint.limits, &part.joint.friction);
         let [name, parent] = &part.names;
         let [xx, yy, zz, xy, xz, yz] = tensor(&part.link);
+        let (lower, upper) = limits.position;
         out += &format!(
             r#"  <joint name="{joint}" type="revolute"><pose relative_to="{around}">{pose}</pose>
     <parent>{parent}</parent><child>{name}</child>
@@ -185,8 +184,6 @@ pub fn sdf(robot: &Robot) -> String {
             around = if parent == WORLD { "__model__" } else { parent },
             pose = pose(&part.placement),
             axis = list(&part.axis),
-            lower = limits.position.0,
-            upper = limits.position.1,
             torque = limits.torque,
             velocity = limits.velocity,
             viscous = friction.viscous,
@@ -219,9 +216,8 @@ fn tensor(link: &Link) -> [String; 6] {
     let i = &link.inertia_com;
     // Entries that only rounding has made are none.
     let least = 1e-15 * i.amax();
-    [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23]
-        .map(|x| if x.abs() < least { 0.0 } else { x })
-        .map(number)
+    let entries = [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23];
+    entries.map(|x| number(if x.abs() < least { 0.0 } else { x }))
 }
 
 fn list(vector: &Vector3<f64>) -> String {
