@@ -28,7 +28,8 @@ pub(super) enum Damage {
     Silence,
 }
 
-const NAMES: [(Damage, &str); 8] = [
+/// All of them, with their names in a report.
+pub(super) const DAMAGES: [(Damage, &str); 8] = [
     (Damage::Flips, "bit flips"),
     (Damage::Truncation, "truncated frames"),
     (Damage::Duplication, "duplicated frames"),
@@ -40,17 +41,6 @@ const NAMES: [(Damage, &str); 8] = [
 ];
 
 impl Damage {
-    /// All of them.
-    pub(super) fn all() -> impl Iterator<Item = Self> {
-        NAMES.iter().map(|(kind, _)| *kind)
-    }
-
-    /// Name in a report.
-    pub(super) fn name(self) -> &'static str {
-        let known = NAMES.iter().find(|(kind, _)| *kind == self);
-        known.map_or("", |(_, name)| name)
-    }
-
     /// One frame in how many is hit, where the damage is to frames and not to bytes.
     const fn seldom(self) -> u32 {
         match self {

@@ -163,12 +163,12 @@ fn bytes_of(frames: Vec<Frame>) -> Vec<u8> {
 /// Samples over a line that does `damage`.
 pub(super) fn damaged_line(
     transport: Box<dyn Transport>,
-    damage: Damage,
+    (damage, name): (Damage, &str),
     ticks: u32,
     seed: u64,
 ) -> Result<Campaign, StudyError> {
     let mut line = BadLine::new(damage, ChaCha8Rng::seed_from_u64(seed));
-    on_line(damage.name(), transport, ticks, true, |_, frames| {
+    on_line(name, transport, ticks, true, |_, frames| {
         let before = line.injected;
         let carried = frames.iter().flat_map(|frame| line.carry(&frame.bytes));
         let bytes = carried.collect();

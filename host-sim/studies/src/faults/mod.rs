@@ -13,7 +13,7 @@ mod timed;
 mod uploads;
 
 use crate::StudyError;
-use damage::Damage;
+use damage::{DAMAGES, Damage};
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque_link::store::slots;
 use foretorque_link::wire::Pacing;
@@ -26,8 +26,8 @@ use rig::Round;
 use serde::Serialize;
 use std::path::Path;
 use store::{SECTOR, SMALL_SECTOR};
-use timed::{TimedFault, timed};
-use uploads::{BadUpload, bad_uploads};
+use timed::{timed, timed_faults};
+use uploads::{BAD_UPLOADS, bad_uploads};
 
 /// Counts of one kind of fault.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -238,8 +238,8 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
         line(&mut all, board, lengths, seed);
     }
     for pacing in [Pacing::Link, Pacing::SysTick] {
-        for fault in TimedFault::all() {
-            all.push(Scenario::new(fault.name(), move || {
+        for fault in timed_faults() {
+            all.push(Scenario::new(fault.0, move || {
                 timed(pacing, fault, lengths.native_s * TICKS_PER_S, seed)
             }));
         }
@@ -265,9 +265,9 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
         (Board::Bulk, _) => lengths.bulk_s * TICKS_PER_S / 10,
         (Board::Usart, _) => lengths.usart_ticks,
     };
-    for damage in Damage::all() {
-        let ticks = ticks(damage);
-        all.push(Scenario::on(board, damage.name(), move |link| {
+    for damage in DAMAGES {
+        let ticks = ticks(damage.0);
+        all.push(Scenario::on(board, damage.1, move |link| {
             damaged_line(link, damage, ticks, seed)
         }));
     }
@@ -282,8 +282,8 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
         Board::Usart => lengths.times.div_ceil(20),
         _ => lengths.times,
     };
-    for bad in BadUpload::all() {
-        all.push(Scenario::on(board, bad.name(), move |link| {
+    for bad in BAD_UPLOADS {
+        all.push(Scenario::on(board, bad.1, move |link| {
             bad_uploads(link, bad, times, seed)
         }));
     }

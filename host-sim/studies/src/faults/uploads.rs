@@ -30,7 +30,8 @@ pub(super) enum BadUpload {
     StrangeNumber,
 }
 
-const NAMES: [(BadUpload, &str); 6] = [
+/// All of them, with their names in a report.
+pub(super) const BAD_UPLOADS: [(BadUpload, &str); 6] = [
     (BadUpload::Interrupted, "interrupted uploads"),
     (BadUpload::Reset, "reset in the middle of an upload"),
     (BadUpload::WrongRobot, "banks of another robot"),
@@ -42,28 +43,15 @@ const NAMES: [(BadUpload, &str); 6] = [
     ),
 ];
 
-impl BadUpload {
-    /// All of them.
-    pub(super) fn all() -> impl Iterator<Item = Self> {
-        NAMES.iter().map(|(kind, _)| *kind)
-    }
-
-    /// Name in a report.
-    pub(super) fn name(self) -> &'static str {
-        let known = NAMES.iter().find(|(kind, _)| *kind == self);
-        known.map_or("", |(_, name)| name)
-    }
-}
-
 /// `times` uploads that fail, between sound ones. The reference gets the sound ones only: a set is lost when the bank in
 /// force is another one afterwards.
 pub(super) fn bad_uploads(
     transport: Box<dyn Transport>,
-    bad: BadUpload,
+    (bad, name): (BadUpload, &str),
     times: u32,
     seed: u64,
 ) -> Result<Campaign, StudyError> {
-    let mut campaign = Campaign::new(bad.name(), &transport.name());
+    let mut campaign = Campaign::new(name, &transport.name());
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut host = Host::new(transport, false)?;
     for number in 1..=times {
