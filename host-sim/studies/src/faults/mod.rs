@@ -100,44 +100,49 @@ impl Campaign {
     }
 }
 
-fn cells(campaign: &Campaign) -> [String; 12] {
-    let count = |count: u64| count.to_string();
-    [
-        campaign.name.clone(),
-        campaign.board.clone(),
-        count(campaign.injected),
-        count(campaign.torques),
-        count(campaign.wrong_torques),
-        count(campaign.lost_sets),
-        count(campaign.recovered),
-        count(campaign.unnoticed),
-        count(campaign.without_permission),
-        count(campaign.rearmed),
-        count(campaign.timeouts),
-        count(campaign.mistimed),
-    ]
-}
+/// Counts of a campaign by their names in a report.
+const COUNTS: [(&str, fn(&Campaign) -> u64); 10] = [
+    ("injected", |own| own.injected),
+    ("torques compared", |own| own.torques),
+    ("wrong", |own| own.wrong_torques),
+    ("lost sets", |own| own.lost_sets),
+    ("recovered", |own| own.recovered),
+    ("unseen", |own| own.unnoticed),
+    ("without permission", |own| own.without_permission),
+    ("re-armed", |own| own.rearmed),
+    ("time-outs", |own| own.timeouts),
+    ("mistimed", |own| own.mistimed),
+];
 
 /// The counts of all campaigns.
 pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
-    let sum = |count: fn(&Campaign) -> u64| campaigns.iter().map(count).sum::<u64>();
-    let header = "fault | board | injected | torques compared | wrong | lost sets | recovered | unseen | without permission | re-armed | time-outs | mistimed";
+    let sums = COUNTS.map(|(_, count)| campaigns.iter().map(count).sum::<u64>());
+    let [
+        injected,
+        torques,
+        wrong,
+        lost,
+        recovered,
+        unseen,
+        permission,
+        rearmed,
+        timeouts,
+        mistimed,
+    ] = sums;
+    let (number, not_recovered) = (campaigns.len(), injected - recovered);
+    let header = COUNTS.map(|(name, _)| name).join(" | ");
+    let rows = campaigns.iter().map(|own| {
+        let counts = COUNTS.map(|(_, count)| count(own).to_string());
+        [own.name.clone(), own.board.clone()]
+            .into_iter()
+            .chain(counts)
+    });
     format!(
         "cargo xtask faults, seed {seed}\n\n\
-         {} campaigns, {} faults, {} torques compared: {} wrong, {} sets lost, {} not recovered, {} unseen, \
-         {} torques without permission, {} re-arms unasked, {} of {} time-outs more than a period off.\n\n{}",
-        campaigns.len(),
-        sum(|campaign| campaign.injected),
-        sum(|campaign| campaign.torques),
-        sum(|campaign| campaign.wrong_torques),
-        sum(|campaign| campaign.lost_sets),
-        sum(|campaign| campaign.injected - campaign.recovered),
-        sum(|campaign| campaign.unnoticed),
-        sum(|campaign| campaign.without_permission),
-        sum(|campaign| campaign.rearmed),
-        sum(|campaign| campaign.mistimed),
-        sum(|campaign| campaign.timeouts),
-        aligned(header, campaigns.iter().map(cells))
+         {number} campaigns, {injected} faults, {torques} torques compared: {wrong} wrong, {lost} sets lost, \
+         {not_recovered} not recovered, {unseen} unseen, {permission} torques without permission, {rearmed} re-arms \
+         unasked, {mistimed} of {timeouts} time-outs more than a period off.\n\n{}",
+        aligned(&format!("fault | board | {header}"), rows)
     )
 }
 

@@ -80,9 +80,9 @@ pub fn run(
     let (arm, scenario) = only.split_once('/').unwrap_or((only, ""));
     let (first, count) = config.seeds;
     let arms = ARMS.iter().filter(|own| own.name.starts_with(arm));
-    let jobs: Vec<(&WorldArm, u64)> = (first..first.saturating_add(count))
-        .flat_map(|seed| arms.clone().map(move |arm| (arm, seed)))
-        .collect();
+    let seeds = first..first.saturating_add(count);
+    let jobs = seeds.flat_map(|seed| arms.clone().map(move |arm| (arm, seed)));
+    let jobs: Vec<(&WorldArm, u64)> = jobs.collect();
     let chosen = Scenario::all(config.quick).filter(|own| own.name.starts_with(scenario));
     let runs = chosen.map(|own| own.starts.len() * own.ticks(config.quick));
     let all = jobs.len() * runs.sum::<usize>() / 1000;
@@ -96,9 +96,8 @@ pub fn run(
         progress("seconds of arm time", before + ticks / 1000, all);
     };
     let work = |&(arm, seed): &(&WorldArm, u64)| of_arm(arm, seed, config, scenario, &advance);
-    let found: Result<Vec<_>, StudyError> = in_parallel(cores(), &jobs, work, || {})
-        .into_iter()
-        .collect();
+    let found = in_parallel(cores(), &jobs, work, || {}).into_iter();
+    let found: Result<Vec<_>, StudyError> = found.collect();
     let scenarios: Vec<ScenarioReport> = found?.into_iter().flatten().collect();
     let report = LearningReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -173,10 +172,10 @@ pub struct Comparison {
 fn comparisons(reports: &[ScenarioReport]) -> Vec<Comparison> {
     let mut out = Vec::new();
     for (arm, scenario, figure, side, bar) in BARS {
-        let of_bar = reports
-            .iter()
-            .filter(|report| report.arm.starts_with(arm) && report.scenario.starts_with(scenario));
-        for report in of_bar {
+        let of_bar = |report: &&ScenarioReport| {
+            report.arm.starts_with(arm) && report.scenario.starts_with(scenario)
+        };
+        for report in reports.iter().filter(of_bar) {
             let Some(&measured) = report.figures.get(figure) else {
                 continue;
             };
@@ -189,10 +188,9 @@ fn comparisons(reports: &[ScenarioReport]) -> Vec<Comparison> {
                 side,
                 bar,
                 // A figure that is not a number is on neither side.
-                met: if side == "at most" {
-                    measured <= bar
-                } else {
-                    measured >= bar
+                met: match side {
+                    "at most" => measured <= bar,
+                    _ => measured >= bar,
                 },
             });
         }
@@ -224,11 +222,8 @@ fn matrix(report: &LearningReport) -> (String, Vec<Vec<String>>) {
     }
     let rows = bars.into_iter().map(|(figure, side, bar)| {
         let cells = arms(report).map(|arm| {
-            let own = report.outcomes.iter().filter(|outcome| {
-                let outcome = *outcome;
-                outcome.arm == arm && (outcome.figure.as_str(), outcome.bar) == (figure, bar)
-            });
-            let own: Vec<&Comparison> = own.collect();
+            let mut own: Vec<&Comparison> = report.outcomes.iter().collect();
+            own.retain(|own| own.arm == arm && (own.figure.as_str(), own.bar) == (figure, bar));
             let sign = if side == "at most" { 1.0 } else { -1.0 };
             let worst = own.iter().map(|outcome| sign * outcome.measured);
             let worst = sign * worst.fold(f64::NEG_INFINITY, f64::max);
@@ -242,28 +237,23 @@ fn matrix(report: &LearningReport) -> (String, Vec<Vec<String>>) {
         let first = [figure.to_owned(), format!("{side} {bar}")];
         first.into_iter().chain(cells).collect()
     });
-    let header: Vec<&str> = arms(report).collect();
-    (
-        format!("figure | bar | {}", header.join(" | ")),
-        rows.collect(),
-    )
+    let header = arms(report).collect::<Vec<_>>().join(" | ");
+    (format!("figure | bar | {header}"), rows.collect())
 }
 
 fn page(report: &LearningReport) -> Page {
     let all: Vec<&Comparison> = report.outcomes.iter().collect();
     let (header, rows) = matrix(report);
     let missed = report.outcomes.iter().filter(|outcome| !outcome.met);
-    let panels = report
-        .scenarios
-        .iter()
-        .filter(|s| s.scenario.starts_with("path-"));
-    let panels: Vec<Panel> = panels
+    let scenarios = report.scenarios.iter();
+    let panels = scenarios
+        .filter(|s| s.scenario.starts_with("path-"))
         .map(|scenario| {
             let title = format!("{} {}", scenario.arm, scenario.scenario);
             let curve = Curve::new(PlotColor::After, &scenario.curve, |point| *point);
             Panel::new(&title, "t / s", "error over start", vec![curve]).from_zero()
-        })
-        .collect();
+        });
+    let panels: Vec<Panel> = panels.collect();
     let figures = report.scenarios.iter().flat_map(|scenario| {
         scenario.figures.iter().map(|(figure, value)| {
             [
@@ -277,7 +267,7 @@ fn page(report: &LearningReport) -> Page {
     });
     let kinds = ARMS
         .iter()
-        .map(|arm| [arm.name.to_owned(), arm.kind.to_owned()]);
+        .map(|arm| [arm.name, arm.kind].map(str::to_owned));
     Page::new(
         "Learning on the board of every arm",
         "Simulated arms with elastic gears, sticking friction, sensor errors and late reports under PD control. The \
@@ -287,10 +277,8 @@ fn page(report: &LearningReport) -> Page {
     .sections([
         Section::new("Bars by arm", "Scenarios that reach the bar, and the worst figure.")
             .table(header, rows),
-        Section::new("Missed", "Every figure that misses its bar.").table(
-            "arm | scenario | seed | figure | measured | bar",
-            missed.map(row),
-        ),
+        Section::new("Missed", "Every figure that misses its bar.")
+            .table("arm | scenario | seed | figure | measured | bar", missed.map(row)),
         Section::new(
             "Torque error on a path that is never played",
             "Error of the set in force over that of the start; joints below 2 % of their limit count as 2 %.",
@@ -317,15 +305,10 @@ fn text(report: &LearningReport) -> String {
     let all: Vec<&Comparison> = report.outcomes.iter().collect();
     let (header, rows) = matrix(report);
     let missed = report.outcomes.iter().filter(|outcome| !outcome.met);
-    format!(
-        "host-sim experiment learning: {} reached.\n\n{}\nMissed:\n\n{}",
-        reached(&all),
-        aligned(&header, rows),
-        aligned(
-            "arm | scenario | seed | figure | measured | reach",
-            missed.map(row)
-        ),
-    )
+    let columns = "arm | scenario | seed | figure | measured | reach";
+    let (matrix, missed) = (aligned(&header, rows), aligned(columns, missed.map(row)));
+    let reached = reached(&all);
+    format!("host-sim experiment learning: {reached} reached.\n\n{matrix}\nMissed:\n\n{missed}")
 }
 
 /// Four significant digits.
