@@ -131,11 +131,11 @@ fn read<J: PartialEq, R: DeserializeOwned>(
     let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
     let mut found: Vec<Option<R>> = jobs.iter().map(|_| None).collect();
     for (number, line) in (1..).zip(text.lines()) {
-        let line: Line<R> = serde_json::from_str(line)
-            .map_err(|error| refused(format!("line {number} is no record: {error}")))?;
+        let of_line = |problem: String| refused(format!("line {number} is {problem}"));
+        let line: Line<R> =
+            serde_json::from_str(line).map_err(|error| of_line(format!("no record: {error}")))?;
         if line.made_of != made_of {
-            let what = "is of another configuration or version";
-            return Err(refused(format!("line {number} {what}")));
+            return Err(of_line("of another configuration or version".to_owned()));
         }
         let job = job_of(&line.record);
         // Seeds beyond those of this report are left out.
@@ -145,10 +145,8 @@ fn read<J: PartialEq, R: DeserializeOwned>(
     }
     let missing = found.iter().filter(|record| record.is_none()).count();
     if missing > 0 {
-        return Err(refused(format!(
-            "{missing} of {} records are missing",
-            jobs.len()
-        )));
+        let count = jobs.len();
+        return Err(refused(format!("{missing} of {count} records are missing")));
     }
     Ok(found.into_iter().flatten().collect())
 }
@@ -157,11 +155,8 @@ fn read<J: PartialEq, R: DeserializeOwned>(
 fn fingerprint(config: &impl Serialize) -> Result<String, StudyError> {
     let mut hasher = DefaultHasher::new();
     serde_json::to_string(config)?.hash(&mut hasher);
-    Ok(format!(
-        "{} {:016x}",
-        env!("CARGO_PKG_VERSION"),
-        hasher.finish()
-    ))
+    let (version, hash) = (env!("CARGO_PKG_VERSION"), hasher.finish());
+    Ok(format!("{version} {hash:016x}"))
 }
 
 #[cfg(test)]
@@ -172,9 +167,8 @@ mod tests {
     #[test]
     fn the_bank_of_the_description_holds_the_nominal_parameters_of_the_firmware() {
         let robot = Robot::load("ur5").expect("built in");
-        let set = bank_of::<Ur5, 6, 40>(&robot)
-            .set::<Ur5, 6, 40>()
-            .expect("a bank for this arm");
+        let bank = bank_of::<Ur5, 6, 40>(&robot);
+        let set = bank.set::<Ur5, 6, 40>().expect("a bank for this arm");
         for (found, nominal) in set.rigid.iter().zip(<Ur5 as Arm<6, 40>>::NOMINAL) {
             assert!((found - nominal).abs() <= 1e-6 * nominal.abs().max(1.0));
         }

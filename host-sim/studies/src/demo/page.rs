@@ -14,12 +14,12 @@ const BEFORE: PlotColor = PlotColor::Before;
 const AFTER: PlotColor = PlotColor::After;
 
 pub(super) fn page(report: &DemoReport, curves: &DemoCurves, excitation: &Excitation) -> Page {
-    let robot = report.robot.to_uppercase();
+    let (robot, learning_s) = (report.robot.to_uppercase(), report.learning_s());
+    let error = &report.tracking_rms_mrad;
     let lead = format!(
-        "A {robot} whose model is wrong about its masses, inertias and friction moves for {:.0} s; the firmware learns the \
+        "A {robot} whose model is wrong about its masses, inertias and friction moves for {learning_s:.0} s; the firmware learns the \
          difference tick by tick, is frozen, and then meets a path it has never seen. Arm and noise are simulated, the \
-         torque comes from the firmware's own code.",
-        report.learning_s()
+         torque comes from the firmware's own code."
     );
     let mut page = Page::new(format!("foretorque: {robot} learns its torque"), lead)
         .card(
@@ -27,27 +27,18 @@ pub(super) fn page(report: &DemoReport, curves: &DemoCurves, excitation: &Excita
             "torque error on the unseen path, before → after learning (NRMSE, all samples)",
         )
         .card(
-            format!(
-                "{:.2} → {:.2} mrad",
-                report.tracking_rms_mrad.pd_only, report.tracking_rms_mrad.after
-            ),
+            format!("{:.2} → {:.2} mrad", error.pd_only, error.after),
             "tracking error, mean of the joints' RMS, PD alone → with learnt feed-forward",
         )
-        .card(
-            format!("{:.0} s", report.learning_s()),
-            "of arm time with learning on",
-        );
-    if report.tick_instructions.max > 0 {
-        page = page.card(
-            report.tick_instructions.max,
-            "instructions in the longest tick (emulator, not cycles of silicon)",
-        );
+        .card(format!("{learning_s:.0} s"), "of arm time with learning on");
+    let longest = report.tick_instructions.max;
+    if longest > 0 {
+        let label = "instructions in the longest tick (emulator, not cycles of silicon)";
+        page = page.card(longest, label);
     }
     if let Some(usart) = &report.usart {
-        page = page.card(
-            format!("{} of {}", usart.ticks_with_equal_bits, usart.ticks),
-            "replies of the flashable firmware with equal bits",
-        );
+        let equal = format!("{} of {}", usart.ticks_with_equal_bits, usart.ticks);
+        page = page.card(equal, "replies of the flashable firmware with equal bits");
     }
     page.sections([
         predicted(report, curves),
@@ -262,6 +253,11 @@ fn link(report: &DemoReport) -> Section {
 }
 
 fn this_run(report: &DemoReport) -> Section {
+    let (before, after) = (
+        report.torque_nrmse_moving_before,
+        report.torque_nrmse_moving_after,
+    );
+    let moving = from_to(before, after);
     let rows = [
         ("robot", report.robot.clone()),
         ("board", report.board.clone()),
@@ -273,13 +269,7 @@ fn this_run(report: &DemoReport) -> Section {
             "torque NRMSE, all samples",
             from_to(report.torque_nrmse_before, report.torque_nrmse_after),
         ),
-        (
-            "torque NRMSE, moving samples only",
-            from_to(
-                report.torque_nrmse_moving_before,
-                report.torque_nrmse_moving_after,
-            ),
-        ),
+        ("torque NRMSE, moving samples only", moving),
     ];
     let usart = report.usart.as_ref().map_or(String::new(), |usart| {
         let learning_s = usart.ticks as f64 * report.period_s;
