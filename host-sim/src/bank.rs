@@ -16,7 +16,6 @@ use std::fs;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-/// Bytes of the largest bank.
 const LARGEST: u64 = ParameterBank::MAX_BYTES as u64;
 
 /// Print what a parameter bank holds; with a board, send it there or bring it from there

@@ -91,7 +91,6 @@ fn pushed(text: &str) -> Result<During<(usize, f64)>, String> {
     })
 }
 
-/// Three numbers.
 pub(super) fn triple(text: &str) -> Result<[f64; 3], String> {
     let values: Vec<f64> = text.split(',').map(finite).collect::<Result<_, _>>()?;
     let three = values.try_into();

@@ -128,7 +128,6 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     arm: std::marker::PhantomData<A>,
 }
 
-/// Outcome of the ticks.
 struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
     player: BusPlayer<A, Attended, N, P>,
     ticks: usize,
@@ -290,7 +289,6 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         Ok(())
     }
 
-    /// Plays, and writes the files.
     fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
         let out = &self.arguments.out;
         let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;

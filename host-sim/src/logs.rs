@@ -78,7 +78,6 @@ pub(super) struct Record {
     out: PathBuf,
 }
 
-/// Longest wait for bytes.
 const WAIT: Duration = Duration::from_millis(50);
 
 impl Record {

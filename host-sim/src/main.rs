@@ -91,12 +91,10 @@ fn arguments<A: clap::Args>(words: &[&str]) -> Result<A, Failure> {
     Ok(A::from_arg_matches(&command.try_get_matches_from(words)?)?)
 }
 
-/// Refuses a robot of so many joints.
 fn unsupported(joints: usize) -> Failure {
     unusable(format!("robots of {joints} joints are not supported"))
 }
 
-/// Content of a text file.
 fn text_of(path: &Path) -> Result<String, Failure> {
     Ok(fs::read_to_string(path).map_err(|error| at(path, error))?)
 }
@@ -184,8 +182,6 @@ fn main() -> ExitCode {
 }
 
 /// Reads the command line and executes it. Asking for help or the version ends the process.
-///
-/// Errors: whatever stopped the command.
 fn run() -> Result<(), Failure> {
     let command = parsed()?.command;
     terminal::clean_up_when_interrupted()?;

@@ -60,7 +60,6 @@ pub(super) struct MotionArguments {
     exact: bool,
 }
 
-/// Period of the tick, s.
 pub(super) const PERIOD_S: f64 = 1e-3;
 
 /// Largest bandwidth of the PD controller, Hz: a tenth of the ticks in a second. A faster loop shakes the arm.

@@ -79,7 +79,6 @@ impl SignalGuard {
         Self
     }
 
-    /// There was a signal.
     pub(super) fn interrupted(&self) -> bool {
         INTERRUPTED.load(Ordering::Relaxed)
     }

@@ -89,7 +89,6 @@ fn create(out: &Path, timed: bool, shares: &[&str], joints: usize) -> Result<Tab
     Ok(TableWriter::create(out, &header)?)
 }
 
-/// A row of such a table.
 fn row<T: ToString>(t_s: Option<f64>, torques: impl Iterator<Item = T>) -> Vec<String> {
     let time = t_s.iter().map(f64::to_string);
     time.chain(torques.map(|torque| torque.to_string()))

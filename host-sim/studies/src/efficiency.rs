@@ -18,7 +18,6 @@ use rand_distr::StandardNormal;
 use serde::Serialize;
 use std::path::Path;
 
-/// Period of the rows, s.
 const PERIOD_S: f64 = 1e-3;
 /// White noise, share of the torque limit.
 const NOISE: f64 = 0.01;

@@ -49,7 +49,6 @@ fn with(text: &str, start: &str, end: &str) -> String {
 }
 
 impl Import {
-    /// This is a note.
     fn has(&self, note: &str) -> bool {
         self.notes.iter().any(|known| known == note)
     }

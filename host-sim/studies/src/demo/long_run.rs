@@ -18,9 +18,7 @@ use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 
-/// Period of the tick, s.
 const PERIOD_S: f64 = 1e-3;
-/// Bandwidth of the PD controller, Hz.
 const PD_BANDWIDTH_HZ: f64 = 6.0;
 
 /// The setup of every board of the job.
@@ -135,7 +133,6 @@ impl<'p> Setup<'p> {
     }
 }
 
-/// Points of curves that the page shows.
 const PAGE_POINTS: usize = 3000;
 
 /// Size of the job.
@@ -165,7 +162,6 @@ impl Default for DemoConfig {
     }
 }
 
-/// Number of ticks in `duration_s`.
 fn ticks_in(duration_s: f64) -> usize {
     (duration_s / PERIOD_S).round() as usize
 }

@@ -50,7 +50,6 @@ impl Host {
         Ok(host)
     }
 
-    /// Frames to send in the next tick.
     fn frames(&mut self) -> Vec<Frame> {
         let mut messages = vec![self.message(&self.sample())];
         messages.extend(order(self.tick, self.rig.state));
@@ -83,7 +82,6 @@ impl Host {
         Ok(self.rig.state == SafetyState::Armed)
     }
 
-    /// Ends the torque.
     pub(super) fn rest(&mut self) -> Result<(), BoardError> {
         self.rig.ask(&HostMessage::Disarm)?;
         while matches!(self.rig.state, SafetyState::Armed | SafetyState::RampDown) {

@@ -146,7 +146,6 @@ pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
     )
 }
 
-/// Ticks of a second of arm time.
 const TICKS_PER_S: u32 = 1000;
 
 /// How much of everything.

@@ -9,11 +9,9 @@ use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX
 use foretorque_workbench::board::{BoardError, Native, Transport};
 use std::time::{Duration, Instant};
 
-/// How long an answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Intact frames behind every line, from whose replies the resynchronisation is measured.
 const MARKERS: u32 = 3;
-/// Most bytes that are read at once.
 const BUFFER: usize = 4096;
 
 /// One frame on its way, and what the reference shall make of it.
@@ -168,7 +166,6 @@ impl Rig {
         sent.map_err(|error| BoardError::Closed(self.transport.name(), error))
     }
 
-    /// The messages that have come.
     fn listen(&mut self) -> Result<Vec<(u16, BoardMessage<JOINTS>)>, BoardError> {
         let mut buffer = [0; BUFFER];
         let count = self.transport.receive(&mut buffer, PATIENCE);
@@ -240,7 +237,6 @@ fn reference() -> Result<Native<Ur5, JOINTS, PARAMETERS>, ConfigError> {
     Ok(reference)
 }
 
-/// Everything that counts damage.
 fn errors(statistics: &Statistics) -> u64 {
     let errors = [
         statistics.crc_errors,

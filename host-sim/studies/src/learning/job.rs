@@ -14,9 +14,7 @@ use foretorque_workbench::plant::Plant;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
 
-/// Bandwidth of the PD loop, Hz.
 const BANDWIDTH_HZ: f64 = 6.0;
-/// Points of the unseen path.
 const UNSEEN_POINTS: usize = 250;
 /// Time of the look at which learning is compared with batch identification, s.
 const EARLY_S: f64 = 30.0;

@@ -20,7 +20,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use world::{ARMS, Scenario, WorldArm};
 
-/// Period of the tick, s.
 const PERIOD_S: f64 = 1e-3;
 
 /// Figures by name; the unit is the end of the name.
@@ -198,7 +197,6 @@ fn comparisons(reports: &[ScenarioReport]) -> Vec<Comparison> {
     out
 }
 
-/// Number of reached bars, in words.
 fn reached(outcomes: &[&Comparison]) -> String {
     let met = outcomes.iter().filter(|outcome| outcome.met).count();
     format!("{met} of {}", outcomes.len())
@@ -311,7 +309,6 @@ fn text(report: &LearningReport) -> String {
     format!("host-sim experiment learning: {reached} reached.\n\n{matrix}\nMissed:\n\n{missed}")
 }
 
-/// Four significant digits.
 fn number(value: f64) -> String {
     significant(value, 4)
 }

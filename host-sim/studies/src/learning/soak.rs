@@ -104,7 +104,6 @@ impl Setup {
     }
 }
 
-/// Points of the unseen path.
 const UNSEEN_POINTS: usize = 250;
 /// Length of the path and of the standstill behind it, s; then it begins anew.
 const PATH_S: f64 = 590.0;

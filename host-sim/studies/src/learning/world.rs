@@ -283,7 +283,6 @@ impl Scenario {
         scenarios.filter(move |scenario| !quick || scenario.quick_s > 0.0)
     }
 
-    /// Length in ticks.
     pub(super) fn ticks(&self, quick: bool) -> usize {
         let seconds = if quick { self.quick_s } else { self.seconds };
         (seconds / PERIOD_S).round() as usize

@@ -40,7 +40,6 @@ fn filters(period_s: f64) -> PrepareConfig {
     }
 }
 
-/// One row of a log.
 pub(super) struct Row<const N: usize> {
     /// As the drives reported it, unfiltered.
     pub(super) measured: JointMeasurement<N>,
@@ -254,7 +253,6 @@ impl<const N: usize> Errors<N> {
         self.0.iter().map(ErrorSums::rmse).collect()
     }
 
-    /// RMS error over another one's.
     pub(super) fn over(&self, other: &Self) -> Vec<Option<f64>> {
         let pairs = self.0.iter().zip(&other.0);
         let ratios = pairs.map(|(own, other)| Some(own.rmse()? / other.rmse()?));
