@@ -34,13 +34,8 @@ pub(super) struct Arguments {
     #[arg(long, value_parser = positive)]
     weight_kg: Option<f64>,
     /// Centre of mass of the known weight in the frame of the last link, m
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        default_value = "0,0,0",
-        allow_hyphen_values = true
-    )]
-    #[arg(value_parser = triple)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple)]
+    #[arg(default_value = "0,0,0", allow_hyphen_values = true)]
     weight_com: [f64; 3],
     /// Seed of the simulated arm and of the search for the excitation
     #[arg(long, default_value_t = 1)]

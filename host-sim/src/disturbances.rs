@@ -15,13 +15,8 @@ pub(super) struct DisturbanceArguments {
     #[arg(long, value_name = "KG@T1..T2", value_parser = held)]
     payload: Vec<During<f64>>,
     /// Centre of mass of the payloads in the frame of the last link, m
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        default_value = "0,0,0.1323",
-        allow_hyphen_values = true
-    )]
-    #[arg(value_parser = triple)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple)]
+    #[arg(default_value = "0,0,0.1323", allow_hyphen_values = true)]
     payload_com: [f64; 3],
     /// A torque from outside, N·m, on joint J (from 1) from T1 to T2, s; may be given several times
     #[arg(long, value_name = "J:NM@T1..T2", value_parser = pushed)]

@@ -197,13 +197,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let noise = Joints::from_iterator(limits.map(|limit| REPORT_NOISE * limit));
         let (rates, seed) = (self.profile.bus.first(), arguments.seed);
         let rates = rates.copied().unwrap_or_default();
-        Ok(SimulatedNetwork::new(
-            plant,
-            &self.config,
-            rates,
-            &noise,
-            seed,
-        ))
+        let config = &self.config;
+        Ok(SimulatedNetwork::new(plant, config, rates, &noise, seed))
     }
 
     /// Arms, approaches the path, plays it and parks.

@@ -139,12 +139,8 @@ struct Learning {
     #[arg(long)]
     quick: bool,
     /// Directory for report.json and report.html
-    #[arg(
-        long,
-        value_name = "DIR",
-        required_unless_present = "list",
-        conflicts_with = "list"
-    )]
+    #[arg(long, value_name = "DIR", required_unless_present = "list")]
+    #[arg(conflicts_with = "list")]
     out: Option<PathBuf>,
     #[command(flatten)]
     snapshot: Snapshot,

@@ -236,12 +236,9 @@ fn identify_arm(
         let (joint, value) = (joint + 1, gain.gain_nm_a);
         show!("gain  joint {joint}  {value:.3} N·m/A {found}")?;
     }
-    show!(
-        "rank {}, condition number {:.1} ({})",
-        report.rank,
-        report.condition_number,
-        report.condition_number_of
-    )?;
+    let (rank, of) = (report.rank, &report.condition_number_of);
+    let condition = report.condition_number;
+    show!("rank {rank}, condition number {condition:.1} ({of})")?;
     for (name, method) in &report.methods {
         let mut line = format!(
             "{name:<14} {:>7} epochs {:>8.3} s",

@@ -25,11 +25,8 @@ pub(super) struct Arguments {
     #[arg(long, default_value = "native")]
     board: BoardChoice,
     /// Table with q1_rad…, qd1_rad_s…, qdd1_rad_s2… (CSV, or CSV.gz); t_s is optional
-    #[arg(
-        long = "in",
-        value_name = "FILE",
-        required_unless_present = "trajectory"
-    )]
+    #[arg(long = "in", value_name = "FILE")]
+    #[arg(required_unless_present = "trajectory")]
     input: Option<PathBuf>,
     /// In place of a table: an excitation (.json), a path of the tool (.toml), a table with t_s, or `validation`, every
     /// millisecond

@@ -98,11 +98,8 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         bytes[5] ^= 1;
         assert_eq!(Wiring::<6>::decode(&bytes), None);
     }
-    refused(
-        &here,
-        &format!("wiring --profile {PROFILE} --role uart --joint 7 --out x"),
-        "--joint 7: the arm has joints 1 to 6",
-    );
+    let wiring = format!("wiring --profile {PROFILE} --role uart --joint 7 --out x");
+    refused(&here, &wiring, "--joint 7: the arm has joints 1 to 6");
 }
 
 #[test]

@@ -113,7 +113,7 @@ pub fn run(
             Ok::<Vec<Option<f64>>, StudyError>(rmse.collect())
         };
         let wls = rmse(MethodName::Wls, ColumnSet::plain())?;
-        let recommended = rmse(MethodName::Consistent, columns(RECOMMENDED)?)?;
+        let recommended = rmse(MethodName::Consistent, RECOMMENDED.parse()?)?;
         let ratio = wls.iter().zip(&recommended);
         let ratio = ratio.map(|(wls, own)| Some((*own)? / (*wls)?));
         let ratio: Vec<Option<f64>> = ratio.collect();
@@ -140,11 +140,6 @@ pub fn run(
         paths,
     };
     Ok(outcome(report))
-}
-
-/// The column set of a text of this program.
-pub(super) fn columns(text: &str) -> Result<ColumnSet, StudyError> {
-    Ok(text.parse::<ColumnSet>()?)
 }
 
 /// Check that the directory of the logs is there.

@@ -118,11 +118,8 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
         file,
         place: String::new(),
     };
-    check.that(
-        Robot::is_name(&raw.name),
-        "name",
-        "must be lower-case letters, digits and underscores, a letter first",
-    )?;
+    let form = "must be lower-case letters, digits and underscores, a letter first";
+    check.that(Robot::is_name(&raw.name), "name", form)?;
     check.finite("gravity_m_s2", &raw.gravity_m_s2)?;
     let count = raw.joints.len();
     let wrong = format!("{count} joints, must be 1 to {MAX_JOINTS}");
@@ -234,23 +231,16 @@ fn link_in_craig_frame(
 /// Checks the numbers of drive, friction and limits.
 fn check_numbers(joint: &JointFile, check: &Check<'_>) -> Result<(), Refusal> {
     let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
+    let (stribeck_velocity, cycles) = (friction.stribeck_velocity, friction.cogging_cycles_rev);
     for (field, value, positive) in [
         ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
         ("drive.gain_nm_a", drive.gain, true),
         ("friction.viscous_nm_s_rad", friction.viscous, false),
         ("friction.coulomb_nm", friction.coulomb, false),
         ("friction.stribeck_ratio", friction.stribeck_ratio, false),
-        (
-            "friction.stribeck_velocity_rad_s",
-            friction.stribeck_velocity,
-            true,
-        ),
+        ("friction.stribeck_velocity_rad_s", stribeck_velocity, true),
         ("friction.cogging_nm", friction.cogging, false),
-        (
-            "friction.cogging_cycles_rev",
-            friction.cogging_cycles_rev,
-            false,
-        ),
+        ("friction.cogging_cycles_rev", cycles, false),
         ("limits.velocity_rad_s", limits.velocity, true),
         ("limits.acceleration_rad_s2", limits.acceleration, true),
         ("limits.torque_nm", limits.torque, true),

@@ -164,11 +164,10 @@ fn ratios(conditions: &[&Condition], of: &str, over: &str) -> Option<(f64, f64, 
         return None;
     }
     let logs: f64 = ratios.iter().map(|ratio| ratio.ln()).sum();
-    Some((
-        (logs / ratios.len() as f64).exp(),
-        ratios.iter().copied().fold(f64::INFINITY, f64::min),
-        ratios.iter().copied().fold(0.0, f64::max),
-    ))
+    let mean = (logs / ratios.len() as f64).exp();
+    let least = ratios.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = ratios.iter().copied().fold(0.0, f64::max);
+    Some((mean, least, most))
 }
 
 fn verdict(ratio: f64) -> &'static str {

@@ -252,11 +252,8 @@ impl Curves {
         let data = data.map(|(t_s, state, tau)| (*t_s, *state, [*tau]));
         write_motion(&out.join("training.csv"), ["tau"], data)?;
         let torques = ["tau", "bp_physical", "bp_black_box"];
-        write_motion(
-            &out.join("validation.csv"),
-            torques,
-            self.path.iter().copied(),
-        )
+        let path = self.path.iter().copied();
+        write_motion(&out.join("validation.csv"), torques, path)
     }
 }
 

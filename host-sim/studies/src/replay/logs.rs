@@ -1,7 +1,7 @@
 //! The logs row by row, with the torques of batch least squares on the other paths; squared errors of the moving rows.
 
 use super::record::{GATE_RAD_S, PathScores, Predictions};
-use crate::real_ur5::{columns, geometric_mean};
+use crate::real_ur5::geometric_mean;
 use crate::{Progress, StudyError};
 use foretorque::joint::{JointMeasurement, JointVector};
 use foretorque_workbench::dynamics::State;
@@ -104,7 +104,7 @@ pub(super) fn read<const N: usize>(
         let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
         let mut prepared = Vec::new();
         for ((text, thetas), found) in references.iter().zip(&mut found) {
-            let layout = Layout::new(robot, &columns(text)?);
+            let layout = Layout::new(robot, &text.parse()?);
             prepared.clear();
             let mut own = Vec::new();
             for file in &path.files {
@@ -182,7 +182,7 @@ fn references(
         }
     }
     let mut described = robot.base_parameters();
-    described.resize(Layout::new(robot, &columns(PLAIN)?).parameters.len(), 0.0);
+    described.resize(Layout::new(robot, &PLAIN.parse()?).parameters.len(), 0.0);
     let described = (PLAIN, vec![described; paths.len()]);
     Ok((None, [described.clone(), described]))
 }
@@ -195,7 +195,7 @@ fn batch(
     prepare: PrepareConfig,
     seed: u64,
 ) -> Result<Vec<f64>, StudyError> {
-    let config = IdentifyConfig::new(vec![MethodName::Wls], columns(text)?, prepare, seed);
+    let config = IdentifyConfig::new(vec![MethodName::Wls], text.parse()?, prepare, seed);
     let outcome = identify(robot, training, held_out, &config, &|_| ())?;
     let record = outcome.report.methods.get(&MethodName::Wls.to_string());
     let parameters = record.ok_or(IdentifyError::Unsolvable)?.parameters.iter();
