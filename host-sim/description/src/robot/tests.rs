@@ -145,9 +145,8 @@ fn an_overlay_completes_the_file_beside_it() {
     let cases = cases.replace("JOINT", "[[joints]] / name = 'panda_joint2'");
     for case in cases.replace("COUPLING", coupling).trim().lines() {
         let (more, message) = case.split_once('|').unwrap();
-        let error = overlay(&more.trim().replace(" / ", "\n"))
-            .unwrap_err()
-            .to_string();
+        let error = overlay(&more.trim().replace(" / ", "\n")).unwrap_err();
+        let error = error.to_string();
         let error = error.strip_prefix(&format!("{file}: ")).unwrap_or(&error);
         assert!(error.starts_with(message.trim()), "{more}: {error}");
     }
