@@ -1,4 +1,4 @@
-//! What the program makes, with every board and in every study.
+//! Results of the program, with every board and in every study.
 
 use crate::{directory, fails, files, has, json, number, refused, states, succeeds, text, write};
 use foretorque::arm::Arm;

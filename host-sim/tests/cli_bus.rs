@@ -55,7 +55,7 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
     for step in [
         "Find", "Turn", "Zero", "Torque", "Friction", "Weight", "Excite", "Drive", "Identify",
     ] {
-        has(&text, &format!("{step}: passed"));
+        has(&text, format!("{step}: passed"));
     }
     let out = here.join("out");
     let written = ["commission.json", "driven", "excitation", "identified"];

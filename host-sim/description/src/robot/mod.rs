@@ -14,13 +14,10 @@ pub use body::{Coupling, Perturbation};
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 
-use crate::Refusal;
-use crate::urdf::{self, Import, Selection};
 use foretorque::arm::JointLimits;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
-use std::path::Path;
 
 /// Number of standard inertial parameters of a link, in the order of eq. 14.
 pub const LINK_PARAMETERS: usize = 10;
@@ -217,81 +214,6 @@ impl Link {
     /// of the principal moments of inertia.
     pub fn second_moments(&self) -> Matrix3<f64> {
         0.5 * self.inertia_com.trace() * Matrix3::identity() - self.inertia_com
-    }
-}
-
-/// Descriptions that need no file, by name.
-const BUILT_IN: [(&str, &str); 2] = [
-    ("ur5", include_str!("../../../robots/ur5.toml")),
-    ("panda", include_str!("../../../robots/panda.urdf")),
-];
-
-impl Robot {
-    /// Names of the robots that need no file.
-    pub fn built_in() -> impl Iterator<Item = &'static str> {
-        BUILT_IN.iter().map(|(name, _)| *name)
-    }
-
-    /// A built-in robot by name, or a description or URDF file by path.
-    ///
-    /// Errors: a line that names the file and the field.
-    ///
-    /// ```
-    /// let ur5 = foretorque_description::robot::Robot::load("ur5").unwrap();
-    /// assert_eq!(ur5.joints.len(), 6);
-    /// ```
-    pub fn load(name_or_path: &str) -> Result<Self, Refusal> {
-        let import = Self::load_selected(name_or_path, &Selection::default())?;
-        Ok(import.robot)
-    }
-
-    /// [`load`](Self::load) with the selection of a URDF's arm, and the notes of its reading.
-    ///
-    /// Errors: as there.
-    pub fn load_selected(name_or_path: &str, selection: &Selection<'_>) -> Result<Import, Refusal> {
-        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::parse_selected(name, text, selection);
-        }
-        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
-            let known = Self::built_in().collect::<Vec<_>>().join(", ");
-            Refusal(format!(
-                "unknown robot '{name_or_path}': not one of [{known}], and as a file: {error}"
-            ))
-        })?;
-        Self::parse_selected(name_or_path, &text, selection)
-    }
-
-    /// A robot from the text of a description or of a URDF with a single arm; `file` is used in messages, and its directory
-    /// for files that the text names.
-    ///
-    /// Errors: a line that names the file and the field.
-    pub fn parse(file: &str, text: &str) -> Result<Self, Refusal> {
-        Ok(Self::parse_selected(file, text, &Selection::default())?.robot)
-    }
-
-    fn parse_selected(
-        file: &str,
-        text: &str,
-        selection: &Selection<'_>,
-    ) -> Result<Import, Refusal> {
-        // TOML never begins with '<', XML always does; the ending of its name decides for an empty file.
-        let named = Path::new(file).extension();
-        let is_xml =
-            named.is_some_and(|named| ["urdf", "xml", "xacro"].iter().any(|x| named == *x));
-        if is_xml || text.trim_start().starts_with('<') {
-            return urdf::parse(file, text, selection);
-        }
-        if let Some(import) = overlay::read(file, text, selection)? {
-            return Ok(import);
-        }
-        if *selection != Selection::default() {
-            let problem = "--base, --tip, --weld, --repair and --link-mass are for a URDF";
-            return Err(Refusal::of(file, problem));
-        }
-        Ok(Import {
-            robot: file::parse(file, text)?,
-            notes: Vec::new(),
-        })
     }
 }
 

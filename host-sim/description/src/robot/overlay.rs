@@ -1,11 +1,11 @@
-//! Overlays, TOML files with what a URDF or MJCF does not have; and robots as description files again.
+//! From a name or a file to a robot, and back; overlays, TOML files with what a URDF or MJCF does not have.
 
 use super::file::{
     self, CapsuleFile, DhFile, FrameFile, InertiaFile, JointFile, LinkFile, RobotFile,
 };
 use super::{Drive, Friction, Joint, Limits, Link, Placement, Robot};
 use crate::Refusal;
-use crate::urdf::{Import, Selection};
+use crate::urdf::{self, Import, Selection};
 use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -270,5 +270,80 @@ fn link_file(link: &Link) -> LinkFile {
             xz: i.m13,
             yz: i.m23,
         },
+    }
+}
+
+/// Descriptions that need no file, by name.
+const BUILT_IN: [(&str, &str); 2] = [
+    ("ur5", include_str!("../../../robots/ur5.toml")),
+    ("panda", include_str!("../../../robots/panda.urdf")),
+];
+
+impl Robot {
+    /// Names of the robots that need no file.
+    pub fn built_in() -> impl Iterator<Item = &'static str> {
+        BUILT_IN.iter().map(|(name, _)| *name)
+    }
+
+    /// A built-in robot by name, or a description or URDF file by path.
+    ///
+    /// Errors: a line that names the file and the field.
+    ///
+    /// ```
+    /// let ur5 = foretorque_description::robot::Robot::load("ur5").unwrap();
+    /// assert_eq!(ur5.joints.len(), 6);
+    /// ```
+    pub fn load(name_or_path: &str) -> Result<Self, Refusal> {
+        let import = Self::load_selected(name_or_path, &Selection::default())?;
+        Ok(import.robot)
+    }
+
+    /// [`load`](Self::load) with the selection of a URDF's arm, and the notes of its reading.
+    ///
+    /// Errors: as there.
+    pub fn load_selected(name_or_path: &str, selection: &Selection<'_>) -> Result<Import, Refusal> {
+        if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
+            return Self::parse_selected(name, text, selection);
+        }
+        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
+            let known = Self::built_in().collect::<Vec<_>>().join(", ");
+            Refusal(format!(
+                "unknown robot '{name_or_path}': not one of [{known}], and as a file: {error}"
+            ))
+        })?;
+        Self::parse_selected(name_or_path, &text, selection)
+    }
+
+    /// A robot from the text of a description or of a URDF with a single arm; `file` is used in messages, and its directory
+    /// for files that the text names.
+    ///
+    /// Errors: a line that names the file and the field.
+    pub fn parse(file: &str, text: &str) -> Result<Self, Refusal> {
+        Ok(Self::parse_selected(file, text, &Selection::default())?.robot)
+    }
+
+    fn parse_selected(
+        file: &str,
+        text: &str,
+        selection: &Selection<'_>,
+    ) -> Result<Import, Refusal> {
+        // TOML never begins with '<', XML always does; the ending of its name decides for an empty file.
+        let named = Path::new(file).extension();
+        let is_xml =
+            named.is_some_and(|named| ["urdf", "xml", "xacro"].iter().any(|x| named == *x));
+        if is_xml || text.trim_start().starts_with('<') {
+            return urdf::parse(file, text, selection);
+        }
+        if let Some(import) = read(file, text, selection)? {
+            return Ok(import);
+        }
+        if *selection != Selection::default() {
+            let problem = "--base, --tip, --weld, --repair and --link-mass are for a URDF";
+            return Err(Refusal::of(file, problem));
+        }
+        Ok(Import {
+            robot: file::parse(file, text)?,
+            notes: Vec::new(),
+        })
     }
 }

@@ -233,7 +233,10 @@ pub(super) fn foreign_frames(
     let name = "frames of another version or robot";
     on_line(name, transport, ticks, true, |_, frames| {
         let injected = random.random_ratio(1, 4);
-        let first = injected.then(|| foreign(&mut random)).unwrap_or_default();
+        let first = match injected {
+            true => foreign(&mut random),
+            false => Vec::new(),
+        };
         ([first, bytes_of(frames)].concat(), u64::from(injected))
     })
 }

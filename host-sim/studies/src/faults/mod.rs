@@ -100,8 +100,10 @@ impl Campaign {
     }
 }
 
+type Count = fn(&Campaign) -> u64;
+
 /// Counts of a campaign by their names in a report.
-const COUNTS: [(&str, fn(&Campaign) -> u64); 10] = [
+const COUNTS: [(&str, Count); 10] = [
     ("injected", |own| own.injected),
     ("torques compared", |own| own.torques),
     ("wrong", |own| own.wrong_torques),
