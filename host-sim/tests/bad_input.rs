@@ -1,19 +1,20 @@
-//! Messages about unusable input, a terminal that hangs up, and a board that dies: one line, no panic, nothing half written.
+//! Messages about unusable input, a terminal that hangs up, a board that dies, and a program that is ended: one line, no panic,
+//! nothing half written, no emulator left behind.
 
-use crate::program::{command, directory, failure, soon, still, succeeds, write};
+use crate::{command, directory, failure, has, soon, still, succeeds, write};
 use foretorque_workbench::board::qemu::Image;
-use nix::sys::signal::{Signal, kill};
+use nix::sys::signal::{SigHandler, Signal, kill, signal};
 use nix::unistd::Pid;
 use std::fs;
-use std::os::unix::process::ExitStatusExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 /// All files below a directory, with their content.
-fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+fn files(here: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut found = Vec::new();
-    for entry in fs::read_dir(directory).expect("it is there") {
+    for entry in fs::read_dir(here).expect("it is there") {
         let path = entry.expect("it is there").path();
         if path.is_dir() {
             found.extend(files(&path));
@@ -53,7 +54,7 @@ fn with_torques(rows: &mut [Vec<String>]) {
 
 #[test]
 fn bad_input_is_told_in_one_line_and_leaves_nothing() {
-    let directory = directory("input");
+    let here = directory("input");
     let set = |row: usize, column: usize, text: &'static str| {
         move |rows: &mut Vec<Vec<String>>| rows[row][column] = text.to_owned()
     };
@@ -75,46 +76,44 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("file", String::new()),
         ("bank.bin", "no bank at all".to_owned()),
     ] {
-        write(directory.join(name), text);
+        write(here.join(name), text);
     }
-    let before = files(&directory);
+    let before = files(&here);
     let lines = include_str!("mistyped.txt").lines();
     for case in lines.filter(|line| !line.starts_with('#')) {
         let mut words = case.split(" | ");
         let arguments = words.next().expect("a command line");
-        let output = command(&directory, arguments).output().expect("it starts");
+        let output = command(&here, arguments).output().expect("it starts");
         let stderr = line(arguments, &output);
         for word in words {
-            assert!(stderr.contains(word), "`{arguments}` wrote {stderr}");
+            has(&stderr, word);
         }
-        let left = files(&directory) != before || directory.join("out").exists();
+        let left = files(&here) != before || here.join("out").exists();
         assert!(!left, "`{arguments}` left something");
     }
 }
 
 #[test]
 fn a_missing_emulator_is_told_in_one_line() {
-    let directory = directory("emulator");
-    write(directory.join("good.csv"), table(|_| {}));
+    let here = directory("emulator");
+    write(here.join("good.csv"), table(|_| {}));
     assert!(Image::Bulk.default_elf().is_file(), "the firmware is built");
-    let before = files(&directory);
+    let before = files(&here);
     for arguments in [
         "torque --robot ur5 --board qemu --in good.csv --out tau.csv",
         "run --robot ur5 --board qemu-usart --trajectory validation --out out",
         "experiment demo --out out",
     ] {
-        let output = command(&directory, arguments)
-            .env("PATH", &directory)
-            .output();
+        let output = command(&here, arguments).env("PATH", &here).output();
         let stderr = line(arguments, &output.expect("it starts"));
-        assert!(stderr.contains("qemu-system-arm"), "{stderr}");
-        assert!(files(&directory) == before, "`{arguments}` left something");
+        has(&stderr, "qemu-system-arm");
+        assert!(files(&here) == before, "`{arguments}` left something");
     }
 }
 
 #[test]
 fn a_terminal_that_hangs_up_is_no_failure() {
-    let directory = directory("pipe");
+    let here = directory("pipe");
     let hung_up = |mut command: Command| {
         let (reader, writer) = std::io::pipe().expect("the system has pipes");
         drop(reader);
@@ -132,34 +131,22 @@ fn a_terminal_that_hangs_up_is_no_failure() {
         "bank out/bank.bin",
         "experiment demo --board native --learning-s 1 --usart-learning-s 1 --out demo",
     ] {
-        hung_up(command(&directory, arguments));
+        hung_up(command(&here, arguments));
     }
     for done in ["out/report.html", "demo/report.json"] {
-        assert!(directory.join(done).is_file(), "{done}");
+        assert!(here.join(done).is_file(), "{done}");
     }
-}
-
-/// The finding of `look` within a minute, while `child` runs.
-fn awaited<T>(child: &mut Child, what: &str, look: impl Fn(&Child) -> Option<T>) -> T {
-    soon(what, || {
-        let found = look(child);
-        let ended = found.is_none() && child.try_wait().expect("it is ours").is_some();
-        assert!(!ended, "it ended early");
-        found
-    })
 }
 
 #[test]
 fn an_interrupted_run_leaves_nothing() {
-    let directory = directory("interrupted");
+    let here = directory("interrupted");
     let arguments = "simulate --robot ur5 --trajectory validation --out log.csv";
     // Some of the signals come while the file is being made.
     for delay in (0..20).map(|k| Duration::from_micros(100 * (k % 4))) {
-        let child = command(&directory, arguments)
-            .stderr(Stdio::piped())
-            .spawn();
+        let child = command(&here, arguments).stderr(Stdio::piped()).spawn();
         let mut child = child.expect("it starts");
-        while files(&directory).is_empty() {
+        while files(&here).is_empty() {
             assert!(child.try_wait().expect("it is ours").is_none(), "it ended");
         }
         std::thread::sleep(delay);
@@ -167,95 +154,156 @@ fn an_interrupted_run_leaves_nothing() {
         kill(id, Signal::SIGINT).expect("it is ours");
         let output = child.wait_with_output().expect("it ends");
         assert_eq!(output.status.signal(), Some(Signal::SIGINT as i32));
-        assert!(files(&directory).is_empty(), "{:?}", files(&directory));
+        assert!(files(&here).is_empty(), "{:?}", files(&here));
     }
 }
 
 #[test]
 fn results_go_through_what_is_no_file() {
-    let directory = directory("through");
+    let here = directory("through");
     let simulate = "simulate --robot ur5 --trajectory validation --duration-s 0.01 --out";
     let run = |out: &str| {
-        let output = command(&directory, &format!("{simulate} {out}")).output();
+        let output = command(&here, &format!("{simulate} {out}")).output();
         output.expect("it starts")
     };
     let output = run("-");
     let table = String::from_utf8(output.stdout).expect("it is text");
-    assert!(
-        output.status.success() && table.starts_with("t_s,q1_rad"),
-        "{table}"
-    );
+    let sound = output.status.success() && table.starts_with("t_s,q1_rad");
+    assert!(sound, "{table}");
     assert_eq!(table.lines().count(), 11);
     assert!(run("/dev/null").status.success());
     let full = run("/dev/full");
-    let message = String::from_utf8_lossy(&full.stderr).into_owned();
-    assert!(message.contains("/dev/full: No space left"), "{message}");
-    assert!(files(&directory).is_empty(), "{:?}", files(&directory));
-    for (device, kind) in [("/dev/null", "null"), ("/dev/full", "full")] {
+    has(&failure("full", &full), "/dev/full: No space left");
+    assert!(files(&here).is_empty(), "{:?}", files(&here));
+    for device in ["/dev/null", "/dev/full"] {
         let metadata = fs::metadata(device).expect("it is there");
-        assert!(!metadata.is_file(), "{kind} is a device still");
+        assert!(!metadata.is_file(), "{device} is a device still");
     }
 }
 
 #[test]
 fn results_of_an_earlier_run_do_not_stay() {
-    let directory = directory("stale");
+    let here = directory("stale");
     let simulate =
         "simulate --robot ur5 --trajectory validation --exact --duration-s 12 --out log.csv";
     let identify = |methods: &str| {
         let line = format!("identify --robot ur5 --log log.csv --methods {methods} --out out");
-        succeeds(&directory, &line)
+        succeeds(&here, &line)
     };
-    succeeds(&directory, simulate);
+    succeeds(&here, simulate);
     identify("consistent");
-    assert!(directory.join("out/robot.toml").exists());
+    assert!(here.join("out/robot.toml").exists());
     identify("wls");
     for stale in ["robot.toml", "robot.urdf"] {
-        assert!(!directory.join("out").join(stale).exists(), "{stale}");
+        assert!(!here.join("out").join(stale).exists(), "{stale}");
     }
-    let compared = succeeds(&directory, "compare out out --out c.html");
+    let compared = succeeds(&here, "compare out out --out c.html");
     assert_eq!(compared, "no figure differs\n");
-    assert!(succeeds(&directory, "completions bash").contains("complete"));
+    has(&succeeds(&here, "completions bash"), "complete");
 }
 
-/// Process id of an emulator that `child` started and that has run for a while (clock ticks of processor time).
-fn busy_emulator(child: &Child) -> Option<i32> {
-    let parent = child.id().to_string();
-    fs::read_dir("/proc").ok()?.flatten().find_map(|entry| {
-        let name = entry.file_name().into_string().ok()?;
-        let stat = fs::read_to_string(entry.path().join("stat")).ok()?;
-        // proc(5): after the name in brackets come state, parent, …; user time is the twelfth of these.
-        let (program, rest) = stat.rsplit_once(')')?;
-        let fields: Vec<&str> = rest.split_whitespace().collect();
-        let of_ours = program.contains("qemu-system-arm") && *fields.get(1)? == parent;
-        (of_ours && fields.get(11)?.parse::<u32>().ok()? > 20)
-            .then(|| name.parse().ok())
-            .flatten()
+/// Fields of a process behind its name, which may contain anything (proc(5)): state, parent, …; `None` without such a process.
+fn stat(id: i32) -> Option<Vec<String>> {
+    let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+    let fields = stat.rsplit_once(')')?.1.split_whitespace();
+    Some(fields.map(str::to_owned).collect())
+}
+
+fn runs(id: i32) -> bool {
+    // A process that ended may wait to be reaped.
+    stat(id).is_some_and(|fields| !["Z", "X"].contains(&fields[0].as_str()))
+}
+
+/// A child of `parent` that has taken so much time of the processor, clock ticks.
+fn child_of(parent: u32, ticks: u32) -> Option<i32> {
+    let processes = fs::read_dir("/proc").expect("the system has /proc");
+    let mut ids = processes.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    ids.find(|&id| {
+        stat(id).is_some_and(|fields| {
+            let time = fields[11].parse::<u32>();
+            fields[1] == parent.to_string() && time.is_ok_and(|time| time >= ticks)
+        })
     })
 }
 
 #[test]
 fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
-    for (name, arguments) in [
-        (
-            "run",
-            "run --robot ur5 --board qemu --learn --trajectory validation --out out",
-        ),
-        ("experiment", "experiment demo --out out"),
+    for arguments in [
+        "run --robot ur5 --board qemu --learn --trajectory validation --out out",
+        "experiment demo --out out",
     ] {
-        let directory = directory(&format!("dying-{name}"));
-        let mut command = command(&directory, arguments);
-        let child = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn();
-        let mut child = child.expect("it starts");
-        let emulator = awaited(&mut child, "no emulator is seen at work", busy_emulator);
+        let here = directory("dying");
+        let mut command = command(&here, arguments);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().expect("it starts");
+        let emulator = soon("no emulator is seen at work", || {
+            let busy = child_of(child.id(), 21);
+            let runs = busy.is_some() || child.try_wait().expect("it is ours").is_none();
+            assert!(runs, "it ended early");
+            busy
+        });
         kill(Pid::from_raw(emulator), Signal::SIGKILL).expect("it is ours");
         let output = child.wait_with_output().expect("it ends");
         let stderr = line(arguments, &output);
-        let named = stderr.contains("qemu") && stderr.contains("died");
-        assert!(named, "{stderr}");
-        assert!(files(&directory).is_empty(), "{:?}", files(&directory));
+        has(&stderr, "qemu");
+        has(&stderr, "died");
+        assert!(files(&here).is_empty(), "{:?}", files(&here));
+    }
+}
+
+/// Ends the emulator of a test that failed, which nothing else would.
+struct Undertaker(i32);
+
+impl Drop for Undertaker {
+    fn drop(&mut self) {
+        if std::thread::panicking() && runs(self.0) {
+            let _ = kill(Pid::from_raw(self.0), Signal::SIGKILL);
+        }
+    }
+}
+
+/// Starts a run of an hour on an emulated board.
+fn start(here: &Path, board: &str, out: &str) -> Child {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/paths/ur5-excitation.json");
+    let run = format!("run --robot ur5 --trajectory {path} --duration-s 3600");
+    let mut command = command(here, &format!("{run} --board {board} --out {out}"));
+    command.stderr(Stdio::null()).stdout(Stdio::null());
+    // A test that was started in the background would pass on that it ignores Ctrl-C.
+    let hear = || {
+        // SAFETY: the default action is no handler that could do harm.
+        unsafe { signal(Signal::SIGINT, SigHandler::SigDfl) }?;
+        Ok(())
+    };
+    // SAFETY: between fork and exec the closure makes one system call; it allocates nothing.
+    unsafe { command.pre_exec(hear) };
+    command.spawn().expect("the program starts")
+}
+
+#[test]
+fn an_emulator_ends_with_the_program_however_that_ends() {
+    let here = directory("orphans");
+    for (board, end) in [
+        ("qemu-usart", Signal::SIGKILL),
+        ("qemu-usart", Signal::SIGINT),
+        ("qemu", Signal::SIGKILL),
+        ("qemu", Signal::SIGTERM),
+    ] {
+        let name = format!("{board}-{end}");
+        let (out, mut program) = (here.join(&name), start(&here, board, &name));
+        // In the middle of the run: the log is under way.
+        soon("the run begins", || {
+            let mut files = fs::read_dir(&out).ok()?;
+            files.next().map(drop)
+        });
+        let emulator = soon("the emulator runs", || child_of(program.id(), 0));
+        let _undertaker = Undertaker(emulator);
+        assert!(runs(emulator));
+        kill(Pid::from_raw(program.id().cast_signed()), end).expect("it is ours");
+        let status = program.wait().expect("it is ours");
+        assert_eq!(status.signal(), Some(end as i32));
+        soon("the emulator is gone", || (!runs(emulator)).then_some(()));
+        for name in ["report.json", "log.csv", "bank.bin"] {
+            assert!(!out.join(name).exists(), "{name} of a run that never ended");
+        }
     }
 }

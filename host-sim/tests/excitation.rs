@@ -1,6 +1,6 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, its certificate is true, and a board plays it.
 
-use crate::program::{directory, succeeds, text, write};
+use crate::{directory, has, succeeds, text, write};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -48,11 +48,8 @@ fn every_limit_holds_between_the_points_that_were_checked() {
         let excitation = found(&robot, &short(seed));
         assert!(certificate(&excitation).holds);
         let counted = recount(&robot, &excitation, PI, 20_011).expect("certified");
-        assert_eq!(
-            (counted.violations, counted.beyond_certificate),
-            (0, 0),
-            "seed {seed}"
-        );
+        let missed = (counted.violations, counted.beyond_certificate);
+        assert_eq!(missed, (0, 0), "seed {seed}");
     }
 }
 
@@ -124,7 +121,7 @@ fn each_criterion_is_lower_where_it_was_asked_for() {
 
 #[test]
 fn rotors_that_simulate_assumes_are_those_of_excite() {
-    let directory = directory("excite-rotors");
+    let here = directory("excite-rotors");
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/small5.toml");
     let mut robot = Robot::load(file).expect("described");
     let mut assumed = Vec::new();
@@ -132,17 +129,14 @@ fn rotors_that_simulate_assumes_are_those_of_excite() {
         joint.drive.rotor_inertia = 0.0;
         assumed.push((joint.limits.torque / 200.0).to_string());
     }
-    write(directory.join("bare.toml"), robot.to_toml().expect("text"));
+    write(here.join("bare.toml"), robot.to_toml().expect("text"));
     let search = "excite --robot bare.toml --starts 1 --iterations 8 --out";
-    let silent = succeeds(&directory, &format!("{search} assumed"));
-    assert!(
-        silent.contains("rotor inertias are not described"),
-        "{silent}"
-    );
+    let silent = succeeds(&here, &format!("{search} assumed"));
+    has(&silent, "rotor inertias are not described");
     let stated = format!("{search} stated --rotor-inertia {}", assumed.join(","));
-    succeeds(&directory, &stated);
+    succeeds(&here, &stated);
     let [one, other] =
-        ["assumed", "stated"].map(|out| text(directory.join(out).join("excitation.json")));
+        ["assumed", "stated"].map(|out| text(here.join(out).join("excitation.json")));
     assert_eq!(one, other);
 }
 
@@ -151,12 +145,11 @@ const BOOT: Duration = Duration::from_secs(5);
 const TICKS: usize = 5000;
 
 fn excitation() -> Excitation {
-    let robot = Robot::load("ur5").expect("built in");
     let config = QuickConfig {
         period_s: 2.0,
         ..QuickConfig::default()
     };
-    Excitation::quick(&robot, 1, &config, || ()).expect("the UR5 can move")
+    Excitation::quick(&ur5(), 1, &config, || ()).expect("the UR5 can move")
 }
 
 fn program() -> ExcitationProgram<N> {
@@ -192,17 +185,12 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Reply> {
         q: beside.cast(),
         ..JointMotion::zero()
     };
-    let standing = JointSample {
-        desired,
-        measured: Some(JointMeasurement {
-            q: desired.q,
-            tau: JointVector::zeros(),
-        }),
-    };
+    let (q, tau) = (desired.q, JointVector::zeros());
+    let measured = Some(JointMeasurement { q, tau });
+    let standing = JointSample { desired, measured };
     client.arm(&standing).expect("the board can be armed");
-    client
-        .excitation(ExcitationCommand::Start)
-        .expect("it may be started");
+    let started = client.excitation(ExcitationCommand::Start);
+    started.expect("it may be started");
     client.learning(true).expect("the board learns");
     let mut replies = Vec::new();
     for tick in 0..TICKS {
@@ -210,13 +198,9 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Reply> {
         if tick >= 2000 {
             q[2] += late;
         }
-        let sample = JointSample {
-            desired,
-            measured: Some(JointMeasurement {
-                q,
-                tau: desired.qd * 8.0,
-            }),
-        };
+        let tau = desired.qd * 8.0;
+        let measured = Some(JointMeasurement { q, tau });
+        let sample = JointSample { desired, measured };
         let reply = client.sample(&sample).expect("a torque");
         if let Some((_, motion)) = reply.excited {
             desired = motion;
@@ -228,10 +212,8 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Reply> {
 }
 
 fn stages(replies: &[Reply]) -> Vec<Option<ExcitationState>> {
-    let mut stages: Vec<_> = replies
-        .iter()
-        .map(|(_, e)| e.map(|(stage, _)| stage))
-        .collect();
+    let stages = replies.iter().map(|(_, e)| e.map(|(stage, _)| stage));
+    let mut stages: Vec<_> = stages.collect();
     stages.dedup();
     stages
 }
@@ -247,25 +229,23 @@ fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
     ];
     assert_eq!(stages(&replies), expected);
     let series = excitation();
-    let playing: Vec<_> = replies
-        .iter()
-        .filter_map(|(_, excited)| excited.filter(|(stage, _)| *stage == ExcitationState::Playing))
-        .collect();
+    let excited = replies.iter().filter_map(|(_, excited)| *excited);
+    let playing = excited.filter(|(stage, _)| *stage == ExcitationState::Playing);
+    let playing: Vec<_> = playing.collect();
     assert_eq!(playing.len(), 2000);
     // The wire's resolution is the coarsest part: 2^-20 rad, 2^-18 rad/s, 2^-9 rad/s², half a step of each, and f32.
     for (k, (_, motion)) in playing.iter().enumerate() {
         let exact = series.at::<N>(k as f64 * 1e-3);
-        let apart = |seen: &JointVector<N>, exact: nalgebra::SVector<f64, N>| {
-            (seen.cast::<f64>() - exact).amax()
-        };
-        assert!(apart(&motion.q, exact.q) < 1.5e-6, "tick {k}");
-        assert!(apart(&motion.qd, exact.qd) < 1e-5, "tick {k}");
-        assert!(apart(&motion.qdd, exact.qdd) < 1.1e-3, "tick {k}");
+        for (seen, exact, most) in [
+            (motion.q, exact.q, 1.5e-6),
+            (motion.qd, exact.qd, 1e-5),
+            (motion.qdd, exact.qdd, 1.1e-3),
+        ] {
+            assert!((seen.cast::<f64>() - exact).amax() < most, "tick {k}");
+        }
     }
-    assert!(
-        play(&mut emulated(), 0.0) == replies,
-        "the emulator differs"
-    );
+    let emulated = play(&mut emulated(), 0.0);
+    assert!(emulated == replies, "the emulator differs");
 }
 
 #[test]
@@ -274,17 +254,11 @@ fn an_arm_that_does_not_follow_is_told_in_the_reply_and_brought_to_rest() {
     let replies = play(&mut client, 0.06);
     let aborted = Some(ExcitationState::Aborted(AbortReason::Tracking(2)));
     assert_eq!(stages(&replies).last(), Some(&aborted));
-    let (_, end) = replies
-        .last()
-        .and_then(|(_, excited)| *excited)
-        .expect("in charge");
+    let last = replies.last().and_then(|(_, excited)| *excited);
+    let (_, end) = last.expect("in charge");
     assert_eq!(end.qd, JointVector::<N>::zeros());
-    assert_eq!(
-        client
-            .excitation(ExcitationCommand::Release)
-            .expect("at rest"),
-        ExcitationState::Ready
-    );
+    let released = client.excitation(ExcitationCommand::Release);
+    assert_eq!(released.expect("at rest"), ExcitationState::Ready);
 }
 
 #[test]
@@ -297,14 +271,9 @@ fn a_file_for_another_arm_or_beyond_the_limits_is_refused_with_its_reason() {
             _ => None,
         }
     };
-    let beyond = ExcitationError::CertificateBeyondLimits(1);
-    assert_eq!(
-        refused(|p| p.arm_hash += 1),
-        Some(ExcitationError::WrongArm)
-    );
-    assert_eq!(
-        refused(|p| p.certificate[1].velocity_rad_s = 9.0),
-        Some(beyond)
-    );
+    let wrong = refused(|p| p.arm_hash += 1);
+    assert_eq!(wrong, Some(ExcitationError::WrongArm));
+    let beyond = refused(|p| p.certificate[1].velocity_rad_s = 9.0);
+    assert_eq!(beyond, Some(ExcitationError::CertificateBeyondLimits(1)));
     assert_eq!(refused(|_| {}), None);
 }

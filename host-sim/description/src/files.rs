@@ -36,17 +36,20 @@ pub fn remove_stale(directory: &Path, names: &[&str]) -> io::Result<()> {
 /// Suffix of an unfinished version, before the number of its process.
 const PART: &str = ".part";
 
+/// The directory, or the current one where a path names none.
+fn or_here(directory: &Path) -> &Path {
+    match directory.as_os_str().is_empty() {
+        true => Path::new("."),
+        false => directory,
+    }
+}
+
 /// Removes unfinished versions of `target` that killed runs have left: those that no process has locked.
 fn sweep(target: &Path) {
     let (Some(name), Some(parent)) = (target.file_name(), target.parent()) else {
         return;
     };
-    let parent = if parent.as_os_str().is_empty() {
-        Path::new(".")
-    } else {
-        parent
-    };
-    let Ok(entries) = fs::read_dir(parent) else {
+    let Ok(entries) = fs::read_dir(or_here(parent)) else {
         return;
     };
     for entry in entries.flatten() {
@@ -58,8 +61,7 @@ fn sweep(target: &Path) {
         {
             continue;
         }
-        let abandoned = File::open(entry.path()).is_ok_and(|part| part.try_lock().is_ok());
-        if abandoned {
+        if File::open(entry.path()).is_ok_and(|part| part.try_lock().is_ok()) {
             // What cannot be removed is left, as it was before.
             let _ = fs::remove_file(entry.path());
         }
@@ -96,10 +98,8 @@ impl WholeFile {
             return stdout.map(|stdout| through(File::from(stdout)));
         }
         let before = fs::metadata(target).ok();
-        if before
-            .as_ref()
-            .is_some_and(|before| !before.is_file() && !before.is_dir())
-        {
+        let special = |before: &fs::Metadata| !before.is_file() && !before.is_dir();
+        if before.as_ref().is_some_and(special) {
             let file = File::options().write(true).open(target);
             return file.map(through).map_err(|error| at(target, error));
         }
@@ -167,8 +167,7 @@ impl WholeFile {
 /// Makes the name of a file outlive a power cut. Where a directory cannot be opened or kept, the file itself is whole all the
 /// same: under this name, or under that of its earlier version.
 fn sync_directory(file: &Path) {
-    let directory = file.parent().filter(|path| !path.as_os_str().is_empty());
-    let directory = File::open(directory.unwrap_or(Path::new(".")));
+    let directory = File::open(or_here(file.parent().unwrap_or(Path::new(""))));
     let _ = directory.and_then(|directory| directory.sync_all());
 }
 
@@ -230,10 +229,13 @@ pub fn toml_complaint(text: &str, error: &toml::de::Error) -> (usize, String) {
 mod tests {
     use super::*;
 
+    fn directory(name: &str) -> PathBuf {
+        std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()))
+    }
+
     #[test]
     fn what_a_killed_run_left_is_swept_and_what_is_being_written_stays() {
-        let directory =
-            std::env::temp_dir().join(format!("foretorque-sweep-{}", std::process::id()));
+        let directory = directory("sweep");
         fs::create_dir_all(&directory).expect("creates");
         let target = directory.join("log.csv");
         let [dead, alive, other] =
@@ -251,8 +253,7 @@ mod tests {
     #[test]
     fn links_devices_and_modes_outlive_what_is_written_to_them() {
         use std::os::unix::fs::PermissionsExt;
-        let directory =
-            std::env::temp_dir().join(format!("foretorque-through-{}", std::process::id()));
+        let directory = directory("through");
         fs::create_dir_all(&directory).expect("creates");
         let [file, link, pipe, full] =
             ["file", "link", "pipe", "full"].map(|name| directory.join(name));
@@ -272,9 +273,8 @@ mod tests {
         write_whole(&pipe, b"through").expect("writes");
         assert_eq!(reader.join().expect("ends"), b"through");
         std::os::unix::fs::symlink("/dev/full", &full).expect("links");
-        let error = write_whole(&full, b"lost")
-            .expect_err("is full")
-            .to_string();
+        let error = write_whole(&full, b"lost").expect_err("is full");
+        let error = error.to_string();
         assert!(error.contains("full: No space left"), "{error}");
         remove_stale(&directory, &["file", "nothing"]).expect("removes");
         assert!(!file.exists());
@@ -283,8 +283,7 @@ mod tests {
 
     #[test]
     fn an_unfinished_file_leaves_nothing_behind() {
-        let directory =
-            std::env::temp_dir().join(format!("foretorque-files-{}", std::process::id()));
+        let directory = directory("files");
         let target = directory.join("half.csv");
         let mut file = WholeFile::create(&target).expect("creates");
         file.write_all(b"half").expect("writes");

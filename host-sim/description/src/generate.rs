@@ -26,6 +26,10 @@ pub fn arm_model<const N: usize, const P: usize>(robot: &Robot) -> Option<ArmMod
     for (place, value) in map.base_parameters(robot).into_iter().enumerate() {
         *nominal.get_mut(place)? = value as f32;
     }
+    let steps = robot
+        .joints
+        .iter()
+        .map(|joint| joint.drive.encoder_step() as f32);
     let terms = map.terms.iter();
     let terms = terms.map(|term| BaseTerm::new(term.base, term.standard, term.weight as f32));
     Some(ArmModel {
@@ -37,11 +41,7 @@ pub fn arm_model<const N: usize, const P: usize>(robot: &Robot) -> Option<ArmMod
         base_map: terms.collect::<Vec<_>>().leak(),
         limits: robot.each(|joint| joint.limits.of_board())?,
         cogging_cycles: robot.each(|joint| joint.friction.cogging_cycles_rev as f32)?,
-        encoder_step: robot
-            .joints
-            .iter()
-            .map(|joint| joint.drive.encoder_step() as f32)
-            .fold(0.0, f32::max),
+        encoder_step: steps.fold(0.0, f32::max),
         nominal,
         // As of the placements: −0 is 0.
         links: robot.each(|joint| joint.link.standard_parameters().map(|x| x as f32 + 0.0))?,
@@ -79,29 +79,24 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>) -> String {
     let placed = rows(&model.placements, |placement| format!("{placement:?}"));
     let columns = rows(&model.columns, |columns| format!("{columns:?}"));
     let terms = rows(model.base_map, |term| {
-        format!(
-            "BaseTerm::new({}, {}, {:?})",
-            term.base, term.standard, term.weight
-        )
+        let (base, standard, weight) = (term.base, term.standard, term.weight);
+        format!("BaseTerm::new({base}, {standard}, {weight:?})")
     });
     let limits = rows(&model.limits, |limits| {
         let (lower, upper) = limits.position;
-        let [lower, upper, velocity, torque] =
-            [lower, upper, limits.velocity, limits.torque].map(number);
-        format!(
-            "JointLimits {{ position: ({lower}, {upper}), velocity: {velocity}, torque: {torque} }}"
-        )
+        let values = [lower, upper, limits.velocity, limits.torque];
+        let [lower, upper, velocity, torque] = values.map(number);
+        let position = format!("({lower}, {upper})");
+        format!("JointLimits {{ position: {position}, velocity: {velocity}, torque: {torque} }}")
     });
     let cycles = &model.cogging_cycles;
-    let cogging = if cycles.iter().any(|cycles| *cycles != 0.0) {
-        format!("    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};\n")
-    } else {
-        String::new()
+    let cogging = match cycles.iter().any(|cycles| *cycles != 0.0) {
+        true => format!("    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};\n"),
+        false => String::new(),
     };
     let step = model.encoder_step;
-    let nominal = rows(&model.nominal.as_slice()[..parameters], |value| {
-        format!("{value:?}")
-    });
+    let nominal = &model.nominal.as_slice()[..parameters];
+    let nominal = rows(nominal, |value| format!("{value:?}"));
     let links = rows(&model.links, |link| format!("{link:?}"));
     let (rotors, gravity) = (model.rotors, model.gravity);
     format!(
@@ -157,16 +152,12 @@ fn rows<T>(items: &[T], text: impl Fn(&T) -> String) -> String {
 ///
 /// Errors: of the file system; a file name that no module can have is [`std::io::ErrorKind::InvalidInput`].
 pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
-    let module = file
-        .file_stem()
-        .and_then(|stem| stem.to_str())
-        .unwrap_or_default();
+    let module = file.file_stem().and_then(|stem| stem.to_str());
+    let module = module.unwrap_or_default();
     let is_rust = file.extension().is_some_and(|extension| extension == "rs");
     if !(Robot::is_name(module) && is_rust) {
-        let error = std::io::Error::new(
-            std::io::ErrorKind::InvalidInput,
-            "must be called like a Rust module: lower-case letters, digits and underscores, then .rs",
-        );
+        let form = "must be called like a Rust module: lower-case letters, digits and underscores, then .rs";
+        let error = std::io::Error::new(std::io::ErrorKind::InvalidInput, form);
         return Err(at(file, error));
     }
     write_whole(file, arm_module(robot).as_bytes())?;
@@ -223,11 +214,10 @@ fn number(value: f32) -> String {
 
 /// `ur5` becomes `Ur5`, `my_arm` becomes `MyArm`.
 fn camel_case(name: &str) -> String {
-    name.split('_')
-        .flat_map(|word| {
-            let mut letters = word.chars();
-            let first = letters.next().map(|c| c.to_ascii_uppercase());
-            first.into_iter().chain(letters)
-        })
-        .collect()
+    let words = name.split('_').flat_map(|word| {
+        let mut letters = word.chars();
+        let first = letters.next().map(|c| c.to_ascii_uppercase());
+        first.into_iter().chain(letters)
+    });
+    words.collect()
 }

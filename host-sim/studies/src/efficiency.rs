@@ -1,6 +1,6 @@
 //! Error of the robust fit over many noise draws, against the Cramér–Rao bound.
 
-use crate::{Outcome, Progress, StudyError};
+use crate::{Outcome, Progress, StudyError, unsupported};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::excitation::{SearchConfig, optimise};
@@ -18,7 +18,6 @@ use rand_distr::StandardNormal;
 use serde::Serialize;
 use std::path::Path;
 
-/// Period of the rows, s.
 const PERIOD_S: f64 = 1e-3;
 /// White noise, share of the torque limit.
 const NOISE: f64 = 0.01;
@@ -83,17 +82,9 @@ pub fn run(
         progress("excitation", done, all);
     })?;
     let unseen = Trajectory::<JOINTS>::validation(&robot, seed);
-    let (log, validate) = (
-        directory.join("draw.csv.gz"),
-        directory.join("unseen.csv.gz"),
-    );
-    write(
-        &truth,
-        &validate,
-        unseen.duration_s(),
-        &|t_s| unseen.at(t_s),
-        None,
-    )?;
+    let [log, validate] = ["draw.csv.gz", "unseen.csv.gz"].map(|name| directory.join(name));
+    let path = |t_s| unseen.at(t_s);
+    write(&truth, &validate, unseen.duration_s(), &path, None)?;
     let excited = |t_s: f64| series.at::<JOINTS>(t_s);
     let figures = |prepare: PrepareConfig, methods: &[MethodName]| {
         let config = IdentifyConfig {
@@ -129,13 +120,8 @@ pub fn run(
         for draw in 0..draws {
             progress(noise, draw, draws);
             let random = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1000) + draw as u64);
-            write(
-                &truth,
-                &log,
-                series.period_s,
-                &excited,
-                Some((random, outliers)),
-            )?;
+            let noise = Some((random, outliers));
+            write(&truth, &log, series.period_s, &excited, noise)?;
             if bound == 0.0 {
                 bound = figures(raw, &[MethodName::Wls])?[0].1;
             }
@@ -173,7 +159,7 @@ fn write(
     motion: &dyn Fn(f64) -> State<JOINTS>,
     mut noise: Option<(ChaCha8Rng, f64)>,
 ) -> Result<(), StudyError> {
-    let model = ReferenceModel::<JOINTS>::new(truth).ok_or(StudyError::Joints(JOINTS))?;
+    let model = ReferenceModel::<JOINTS>::new(truth).ok_or_else(|| unsupported(JOINTS))?;
     let rows = (0..(duration_s / PERIOD_S).round() as usize).map(|row| {
         let t_s = row as f64 * PERIOD_S;
         let state = motion(t_s);

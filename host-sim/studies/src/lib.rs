@@ -1,7 +1,7 @@
 //! The reproducible studies of foretorque, and its fault campaign.
 //!
 //! A study takes a configuration and gives an [`Outcome`]: figures for `report.json`, a page for `report.html`, and the same
-//! figures as text that a snapshot keeps.
+//! figures as text that a snapshot keeps. A study of independent jobs keeps their [`Records`].
 
 pub mod demo;
 pub mod efficiency;
@@ -10,21 +10,20 @@ pub mod faults;
 pub mod learning;
 pub mod paper;
 pub mod real_ur5;
-pub mod records;
 pub mod replay;
 
 use foretorque::arm::Arm;
 use foretorque::dynamics::FrictionColumn;
-use foretorque::learning::{ConfigError, ParameterSet};
-use foretorque_link::bank::{BankError, NETWORK_SEED, ParameterBank};
-use foretorque_workbench::Refusal;
-use foretorque_workbench::board::BoardError;
-use foretorque_workbench::identification::IdentifyError;
+use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
+use foretorque_workbench::files::{at, write_whole};
+use foretorque_workbench::parallel::in_parallel;
 use foretorque_workbench::report::page::Page;
-use foretorque_workbench::report::plot::PlotError;
 use foretorque_workbench::robot::Robot;
-use foretorque_workbench::table::TableError;
-use std::io;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::PathBuf;
 
 /// Progress: stage, steps done, steps in all.
 pub type Progress<'p> = &'p (dyn Fn(&'static str, usize, usize) + Sync);
@@ -40,48 +39,12 @@ pub struct Outcome<R> {
     pub text: String,
 }
 
-/// Failure of a study.
-#[derive(Debug, thiserror::Error)]
-pub enum StudyError {
-    /// A request that the study cannot fulfil.
-    #[error("{0}")]
-    Unusable(String),
-    /// A robot with another number of joints.
-    #[error("robots of {0} joints are not supported")]
-    Joints(usize),
-    /// A board that broke off or refused.
-    #[error(transparent)]
-    Board(#[from] BoardError),
-    /// A configuration that the firmware refuses.
-    #[error("{0}")]
-    Config(#[from] ConfigError),
-    /// A file that cannot be read or written.
-    #[error(transparent)]
-    File(#[from] io::Error),
-    /// An identification that fails.
-    #[error(transparent)]
-    Identify(#[from] IdentifyError),
-    /// A file that is no JSON of this program.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
-    /// A robot that cannot be loaded, or an excitation that cannot be found or played.
-    #[error(transparent)]
-    Refused(#[from] Refusal),
-    /// A log that cannot be read.
-    #[error(transparent)]
-    Table(#[from] TableError),
-}
+/// Failure of a study: a sentence of its own, or the error of a board, a file, a log or an identification.
+pub type StudyError = Box<dyn std::error::Error + Send + Sync>;
 
-impl From<BankError> for StudyError {
-    fn from(error: BankError) -> Self {
-        Self::Board(BoardError::Bank(error))
-    }
-}
-
-impl From<PlotError> for StudyError {
-    fn from(error: PlotError) -> Self {
-        Self::File(error.into())
-    }
+/// The failure for a robot with another number of joints.
+fn unsupported(joints: usize) -> StudyError {
+    format!("robots of {joints} joints are not supported").into()
 }
 
 /// The parameter bank of a robot as described: rigid body, viscous and Coulomb friction, networks with zero output.
@@ -99,6 +62,103 @@ pub fn bank_of<A: Arm<N, P>, const N: usize, const P: usize>(robot: &Robot) -> P
     ParameterBank::from_set::<A, N, P>(&set)
 }
 
+/// Source of the records of independent jobs, and what becomes of them.
+///
+/// A scheduler's job computes a range of seeds and leaves one line a record. The lines of all jobs, concatenated in any
+/// order, make the report of the whole study.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Records {
+    /// Computed, then reported.
+    Compute,
+    /// Computed and written to this file, without a report.
+    Write(PathBuf),
+    /// Read from this file, then reported.
+    Read(PathBuf),
+}
+
+#[derive(Serialize, Deserialize)]
+struct Line<R> {
+    made_of: String,
+    record: R,
+}
+
+impl Records {
+    /// The records of `jobs`, in their order; `None` if they were only written.
+    ///
+    /// * `config` everything that the records depend on besides their job
+    /// * `job_of` the job of a record
+    ///
+    /// Errors: those of `work`, the first in the order of the jobs; of the file; a record that is missing, or made of
+    /// another configuration or version.
+    fn of<J: PartialEq + Sync, R: Serialize + DeserializeOwned + Send>(
+        &self,
+        config: &impl Serialize,
+        (jobs, job_of): (&[J], fn(&R) -> J),
+        threads: usize,
+        work: impl Fn(&J) -> Result<R, StudyError> + Sync,
+        progress: Progress<'_>,
+    ) -> Result<Option<Vec<R>>, StudyError> {
+        let made_of = fingerprint(config)?;
+        if let Self::Read(path) = self {
+            return Ok(Some(self::read(path, &made_of, jobs, job_of)?));
+        }
+        let mut done = 0;
+        let results = in_parallel(threads, jobs, work, || {
+            done += 1;
+            progress("jobs", done, jobs.len());
+        });
+        let records = results.into_iter().collect::<Result<Vec<R>, _>>()?;
+        let Self::Write(path) = self else {
+            return Ok(Some(records));
+        };
+        let mut text = String::new();
+        for record in records {
+            let made_of = made_of.clone();
+            text += &(serde_json::to_string(&Line { made_of, record })? + "\n");
+        }
+        write_whole(path, text.as_bytes())?;
+        Ok(None)
+    }
+}
+
+fn read<J: PartialEq, R: DeserializeOwned>(
+    path: &PathBuf,
+    made_of: &str,
+    jobs: &[J],
+    job_of: fn(&R) -> J,
+) -> Result<Vec<R>, StudyError> {
+    let refused = |reason: String| StudyError::from(format!("{}: {reason}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|error| at(path, error))?;
+    let mut found: Vec<Option<R>> = jobs.iter().map(|_| None).collect();
+    for (number, line) in (1..).zip(text.lines()) {
+        let of_line = |problem: String| refused(format!("line {number} is {problem}"));
+        let line: Line<R> =
+            serde_json::from_str(line).map_err(|error| of_line(format!("no record: {error}")))?;
+        if line.made_of != made_of {
+            return Err(of_line("of another configuration or version".to_owned()));
+        }
+        let job = job_of(&line.record);
+        // Seeds beyond those of this report are left out.
+        if let Some(place) = jobs.iter().position(|known| *known == job) {
+            found[place] = Some(line.record);
+        }
+    }
+    let missing = found.iter().filter(|record| record.is_none()).count();
+    if missing > 0 {
+        let count = jobs.len();
+        return Err(refused(format!("{missing} of {count} records are missing")));
+    }
+    Ok(found.into_iter().flatten().collect())
+}
+
+/// Version of the program and hash of the configuration.
+fn fingerprint(config: &impl Serialize) -> Result<String, StudyError> {
+    let mut hasher = DefaultHasher::new();
+    serde_json::to_string(config)?.hash(&mut hasher);
+    let (version, hash) = (env!("CARGO_PKG_VERSION"), hasher.finish());
+    Ok(format!("{version} {hash:016x}"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -107,9 +167,8 @@ mod tests {
     #[test]
     fn the_bank_of_the_description_holds_the_nominal_parameters_of_the_firmware() {
         let robot = Robot::load("ur5").expect("built in");
-        let set = bank_of::<Ur5, 6, 40>(&robot)
-            .set::<Ur5, 6, 40>()
-            .expect("a bank for this arm");
+        let bank = bank_of::<Ur5, 6, 40>(&robot);
+        let set = bank.set::<Ur5, 6, 40>().expect("a bank for this arm");
         for (found, nominal) in set.rigid.iter().zip(<Ur5 as Arm<6, 40>>::NOMINAL) {
             assert!((found - nominal).abs() <= 1e-6 * nominal.abs().max(1.0));
         }

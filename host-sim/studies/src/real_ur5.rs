@@ -94,35 +94,29 @@ pub fn run(
         let place = |file: &&str| directory.join(file);
         let held_out: Vec<PathBuf> = files.iter().map(place).collect();
         let others = PATHS.iter().filter(|(other, _)| other != path);
-        let training: Vec<PathBuf> = others
-            .flat_map(|(_, files)| files.iter().map(place))
-            .collect();
+        let training = others.flat_map(|(_, files)| files.iter().map(place));
+        let training: Vec<PathBuf> = training.collect();
         let rmse = |method: MethodName, columns: ColumnSet| {
             let config = IdentifyConfig::new(vec![method], columns, PREPARE, seed);
             let outcome = identify(&robot, &training, &held_out, &config, &|_| ())?;
-            let records = outcome.report.methods[&method.to_string()]
-                .validation
-                .values();
+            let method = &outcome.report.methods[&method.to_string()];
             let (mut squares, mut counts) = ([0.0; JOINTS], [0.0; JOINTS]);
-            for record in records {
+            for record in method.validation.values() {
                 for joint in 0..JOINTS {
                     let count = record.rows_moving[joint] as f64;
                     squares[joint] += count * record.rmse_moving_nm[joint].unwrap_or(0.0).powi(2);
                     counts[joint] += count;
                 }
             }
-            let joints = squares.iter().zip(&counts);
-            let rmse =
-                joints.map(|(square, count)| (*count > 0.0).then(|| (square / count).sqrt()));
+            let rmse = |(square, count): (f64, f64)| (count > 0.0).then(|| (square / count).sqrt());
+            let rmse = squares.into_iter().zip(counts).map(rmse);
             Ok::<Vec<Option<f64>>, StudyError>(rmse.collect())
         };
         let wls = rmse(MethodName::Wls, ColumnSet::plain())?;
-        let recommended = rmse(MethodName::Consistent, columns(RECOMMENDED)?)?;
-        let ratio: Vec<Option<f64>> = wls
-            .iter()
-            .zip(&recommended)
-            .map(|(wls, own)| Some((*own)? / (*wls)?))
-            .collect();
+        let recommended = rmse(MethodName::Consistent, RECOMMENDED.parse()?)?;
+        let ratio = wls.iter().zip(&recommended);
+        let ratio = ratio.map(|(wls, own)| Some((*own)? / (*wls)?));
+        let ratio: Vec<Option<f64>> = ratio.collect();
         paths.push(PathRecord {
             path: (*path).to_owned(),
             files: files.iter().map(|file| (*file).to_owned()).collect(),
@@ -132,9 +126,8 @@ pub fn run(
             vs_wls_ratio: ratio,
         });
     }
-    let all = paths
-        .iter()
-        .flat_map(|path| path.vs_wls_ratio.iter().flatten());
+    let all = paths.iter().flat_map(|path| &path.vs_wls_ratio).flatten();
+    let means = paths.iter().map(|path| path.geometric_mean_vs_wls);
     let report = RealReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         recommended: format!("consistent, {RECOMMENDED}"),
@@ -143,18 +136,10 @@ pub fn run(
         motion_cutoff_hz: PREPARE.motion_hz,
         still_rad_s: PREPARE.still_rad_s,
         geometric_mean_vs_wls: geometric_mean(all),
-        worst_path_vs_wls: paths
-            .iter()
-            .map(|path| path.geometric_mean_vs_wls)
-            .fold(0.0, f64::max),
+        worst_path_vs_wls: means.fold(0.0, f64::max),
         paths,
     };
     Ok(outcome(report))
-}
-
-/// The column set of a text of this program.
-pub(super) fn columns(text: &str) -> Result<ColumnSet, StudyError> {
-    Ok(text.parse::<ColumnSet>()?)
 }
 
 /// Check that the directory of the logs is there.
@@ -166,7 +151,7 @@ pub(super) fn check_directory(directory: &Path) -> Result<(), StudyError> {
     }
     let name = directory.display();
     let text = format!("no directory {name} here: name that of the logs by --logs DIR");
-    Err(StudyError::Unusable(text))
+    Err(StudyError::from(text))
 }
 
 /// Geometric mean; 1 of no values.
@@ -187,9 +172,8 @@ pub(super) fn joint_rows<P>(
 ) -> Vec<Vec<String>> {
     let row = |path| {
         let cells = pick(path).iter().copied().map(ratio);
-        std::iter::once(name(path).to_owned())
-            .chain(cells)
-            .collect()
+        let name = std::iter::once(name(path).to_owned());
+        name.chain(cells).collect()
     };
     paths.iter().map(row).collect()
 }
@@ -201,42 +185,31 @@ fn outcome(report: RealReport) -> Outcome<RealReport> {
         row.push(ratio(Some(path.geometric_mean_vs_wls)));
     }
     let joints = "path held out | J1 | J2 | J3 | J4 | J5 | J6";
+    let (recommended, reference) = (&report.recommended, &report.reference);
+    let (mean, worst) = (report.geometric_mean_vs_wls, report.worst_path_vs_wls);
+    let rmse = |method: &str, pick| {
+        let heading = format!("RMS error of {method} / N·m");
+        Section::new(heading, "On the path that was not trained on.").table(joints, rows(pick))
+    };
+    let against = format!("{recommended} against {reference}.");
     let page = Page::new(
         "A real UR5, every path held out in turn",
         "Torque is drive gain × motor current, filtered; rows in which the joint moves.",
     )
     .card(
-        ratio(Some(report.geometric_mean_vs_wls)),
+        ratio(Some(mean)),
         "error over that of plain weighted least squares, geometric mean",
     )
-    .card(ratio(Some(report.worst_path_vs_wls)), "worst path")
+    .card(ratio(Some(worst)), "worst path")
     .sections([
-        Section::new(
-            "Error over that of plain weighted least squares",
-            format!("{} against {}.", report.recommended, report.reference),
-        )
-        .table(format!("{joints} | all"), ratios),
-        Section::new(
-            format!("RMS error of {} / N·m", report.recommended),
-            "On the path that was not trained on.",
-        )
-        .table(joints, rows(|path| &path.recommended_rmse_moving_nm)),
-        Section::new(
-            format!("RMS error of {} / N·m", report.reference),
-            "On the path that was not trained on.",
-        )
-        .table(joints, rows(|path| &path.wls_rmse_moving_nm)),
+        Section::new("Error over that of plain weighted least squares", against)
+            .table(format!("{joints} | all"), ratios),
+        rmse(recommended, |path| &path.recommended_rmse_moving_nm),
+        rmse(reference, |path| &path.wls_rmse_moving_nm),
     ]);
-    let paths = report.paths.iter();
-    let mut text: String = paths
-        .map(|path| format!("{:<12} {:.3}\n", path.path, path.geometric_mean_vs_wls))
-        .collect();
-    text += &format!(
-        "{} over {}: {:.3}, worst path {:.3}\n",
-        report.recommended,
-        report.reference,
-        report.geometric_mean_vs_wls,
-        report.worst_path_vs_wls
-    );
+    let lines = report.paths.iter();
+    let lines = lines.map(|own| format!("{:<12} {:.3}\n", own.path, own.geometric_mean_vs_wls));
+    let text = lines.collect::<String>()
+        + &format!("{recommended} over {reference}: {mean:.3}, worst path {worst:.3}\n");
     Outcome { report, page, text }
 }

@@ -57,12 +57,9 @@ fn a_motion_beyond_the_range_of_a_sample_is_refused_and_nothing_is_sent() {
     let mut sample = sample::<Panda, 7, 48>(0);
     let tick = board.sample(&sample).unwrap().tick;
     sample.desired.qdd[2] = -70.5;
-    let refused = board.sample(&sample).unwrap_err().to_string();
-    assert_eq!(
-        refused,
-        "the desired motion of joint 3 reaches -70.5 rad/s², a sample carries up to 64 rad/s²: lower the limits of the \
-         arm, or slow the path down"
-    );
+    let reason = "the desired motion of joint 3 reaches -70.5 rad/s², a sample carries up to 64 rad/s²: lower the limits of \
+                  the arm, or slow the path down";
+    assert_eq!(board.sample(&sample).unwrap_err().to_string(), reason);
     sample.desired.qdd[2] = 0.0;
     assert_eq!(board.sample(&sample).unwrap().tick, tick + 1);
 }
@@ -110,9 +107,8 @@ fn the_same_learning<A: Arm<N, P>, const N: usize, const P: usize>(
     let adopted = boards[0].read_bank().unwrap();
     for tick in 1..ticks {
         let sample = sample::<A, N, P>(tick);
-        let replies = boards
-            .each_mut()
-            .map(|board| board.sample(&sample).unwrap());
+        let boards = boards.each_mut();
+        let replies = boards.map(|board| board.sample(&sample).unwrap());
         assert!(replies[0].total.iter().all(|tau| tau.is_finite()));
         let [a, b] = replies.map(|reply| (reply.flags, reply.total.map(f32::to_bits)));
         assert_eq!(a, b, "tick {tick}");
@@ -138,10 +134,8 @@ fn emulated_boards_of_seven_and_eight_joints_give_the_bits_of_the_native_ones() 
         let mut options = QemuOptions::new(Image::Joint);
         options.elf = Image::Joint.elf_of(name);
         let built = options.elf.with_file_name(format!("{name}.toml"));
-        assert!(
-            built.is_file(),
-            "no images of `{name}`: `cargo xtask test` builds them"
-        );
+        let missing = format!("no images of `{name}`: `cargo xtask test` builds them");
+        assert!(built.is_file(), "{missing}");
         let robot = Robot::load(&built.to_string_lossy()).unwrap();
         // Room for no more than the base parameters of the arm: sums of the learner have the order of the image.
         arms!(robot, N, P in (7, 48) (8, 56) => {
@@ -238,11 +232,8 @@ fn new_arm_is_declared_beside_the_others_once() {
     let file = folder.path().join("my_panda.rs");
     for _ in 0..2 {
         write_arm_module(&robot, &file).unwrap();
-        let text = std::fs::read_to_string(&parent).unwrap();
-        assert_eq!(
-            text,
-            "//! Arms.\n\npub mod my_panda;\nmod identity;\npub mod ur5;\n"
-        );
+        let declared = "//! Arms.\n\npub mod my_panda;\nmod identity;\npub mod ur5;\n";
+        assert_eq!(std::fs::read_to_string(&parent).unwrap(), declared);
     }
     assert_eq!(std::fs::read_to_string(&file).unwrap(), arm_module(&robot));
     for bad in ["My.rs", "7.rs", "a-b.rs", "arm.txt"] {

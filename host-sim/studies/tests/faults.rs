@@ -24,26 +24,21 @@ use std::time::Duration;
 fn every_crash_switches_the_torque_off_and_is_reported_once() {
     let source = include_str!("../../../firmware/images/src/bin/faults.rs");
     let panics = |line: usize| {
-        source
-            .lines()
-            .nth(line - 1)
-            .is_some_and(|line| line.contains("panic!()"))
+        let line = source.lines().nth(line - 1);
+        line.is_some_and(|line| line.contains("panic!()"))
     };
     for crash in Crash::ALL {
-        let trace =
-            PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}.trace", crash.name));
+        let scratch = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+        let trace = scratch.join(format!("{}.trace", crash.name));
         let mut trial = Trial::start(trace).unwrap_or_else(|error| panic!("{error}"));
         let hello = |trial: &mut Trial| {
             let hello = trial.hello().expect("the board lives");
             hello.expect("the board sends its hello")
         };
         let first = hello(&mut trial);
+        // Nothing is kept over power-on.
         let kept = (first.reset_reason, first.counter_hz);
-        assert_eq!(
-            kept,
-            (ResetReason::Unknown, 0),
-            "nothing is kept over power-on"
-        );
+        assert_eq!(kept, (ResetReason::Unknown, 0));
         let on = [false, true];
         assert_eq!(trial.switched(), on, "the torque goes on after start-up");
         trial.fail(crash).expect("the board listens");
@@ -58,12 +53,8 @@ fn every_crash_switches_the_torque_off_and_is_reported_once() {
             _ => place == 6,
         };
         assert!(named, "{crash:?} at {place:#x}");
-        let off = [false, true, false, false, true];
-        assert_eq!(
-            trial.switched(),
-            off,
-            "the torque goes off before the reset"
-        );
+        // The torque goes off before the reset.
+        assert_eq!(trial.switched(), [false, true, false, false, true]);
         // The kept reason is reported once: a board that fails again gives the new reason.
         trial.fail(Crash::PANIC).expect("the board listens");
         assert_eq!(hello(&mut trial).reset_reason, ResetReason::Panic);
@@ -79,10 +70,8 @@ fn every_kind_of_fault_is_survived_on_every_board() {
         let name = scenario.name;
         let campaign = campaign.unwrap_or_else(|error| panic!("{name}: {error}"));
         assert!(campaign.is_survived(), "{campaign:?}");
-        assert!(
-            name != "no samples" || campaign.timeouts > 5,
-            "{campaign:?}"
-        );
+        let timed_out = name != "no samples" || campaign.timeouts > 5;
+        assert!(timed_out, "{campaign:?}");
     }
 }
 
@@ -129,9 +118,9 @@ fn booted(name: &str, flash: Option<&Flash>) -> ParameterBank {
         file
     });
     let board = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
-    let mut client =
-        Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), Duration::from_secs(5))
-            .unwrap_or_else(|error| panic!("{error}"));
+    let patience = Duration::from_secs(5);
+    let client = Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), patience);
+    let mut client = client.unwrap_or_else(|error| panic!("{error}"));
     client.read_bank().unwrap_or_else(|error| panic!("{error}"))
 }
 

@@ -50,15 +50,14 @@ impl BaseMap {
         let triangle = DMatrix::from_fn(rank, rank, |b, k| coefficients[(b, columns[k])]);
         let weights = triangle.solve_upper_triangular(&coefficients.rows(0, rank).into_owned())?;
         let weights = weights.map(|weight| (weight / WEIGHT_GRID).round() * WEIGHT_GRID);
-        let terms = (0..rank)
-            .flat_map(|base| (0..w.ncols()).map(move |standard| (base, standard)))
-            .filter(|&at| weights[at] != 0.0)
-            .map(|(base, standard)| BaseMapTerm {
-                base,
-                standard,
-                weight: weights[(base, standard)],
-            })
-            .collect();
+        let places = (0..rank).flat_map(|base| (0..w.ncols()).map(move |of| (base, of)));
+        let terms = places.filter(|&at| weights[at] != 0.0);
+        let terms = terms.map(|(base, standard)| BaseMapTerm {
+            base,
+            standard,
+            weight: weights[(base, standard)],
+        });
+        let terms = terms.collect();
         Some(Self { columns, terms })
     }
 

@@ -1,8 +1,8 @@
-//! Kane's equations through centre-of-mass Jacobians, world frame.
+//! Kane's equations through centre-of-mass Jacobians, world frame, for a number of joints that is known at run time.
 
-use super::per_joint::{Motion, PerJoint};
 use crate::robot::{Coupling, LINK_PARAMETERS, Link, MAX_JOINTS, Placement, Robot};
 use nalgebra::{DMatrix, DMatrixViewMut, Matrix3, Rotation3, Vector3};
+use std::ops::{Deref, DerefMut};
 
 /// One link: where its joint sits and how its mass is distributed.
 #[derive(Clone, Copy, Debug)]
@@ -78,10 +78,9 @@ impl RigidBodies {
 
     /// Gravity torques G(q), N·m.
     pub fn gravity_torques(&self, q: &[f64]) -> PerJoint<f64> {
-        self.project(&self.kinematics(&Motion {
-            q: q.into(),
-            ..Motion::zeros(q.len())
-        }))
+        let mut motion = Motion::zeros(q.len());
+        motion.q = q.into();
+        self.project(&self.kinematics(&motion))
     }
 
     /// M(q), symmetric and row by row, and h(q, qd), without accelerations in `motion`.
@@ -260,14 +259,97 @@ fn unit_wrenches(
         moment[1 + axis] = first_moment.cross(a);
     }
     // Ixx, Iyy, Izz, Ixy, Ixz, Iyz
-    for (c, (i, j)) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
-        .into_iter()
-        .enumerate()
-    {
+    let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+    for (c, (i, j)) in entries.into_iter().enumerate() {
         let mut inertia = Matrix3::zeros();
         inertia[(i, j)] = 1.0;
         inertia[(j, i)] = 1.0;
         moment[4 + c] = inertia * alpha + w.cross(&(inertia * w));
     }
     (force, moment)
+}
+
+/// One value for each joint, without the heap: a slice with room for the most joints an arm may have.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PerJoint<T> {
+    values: [T; MAX_JOINTS],
+    count: usize,
+}
+
+/// Position, velocity and acceleration of all joints: rad, rad/s, rad/s².
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// Joint positions, rad.
+    pub q: PerJoint<f64>,
+    /// Joint velocities, rad/s.
+    pub qd: PerJoint<f64>,
+    /// Joint accelerations, rad/s².
+    pub qdd: PerJoint<f64>,
+}
+
+impl Motion {
+    /// So many joints at rest at zero.
+    pub fn zeros(joints: usize) -> Self {
+        let zero = PerJoint::repeat(joints, 0.0);
+        let [q, qd, qdd] = [zero; 3];
+        Self { q, qd, qdd }
+    }
+}
+
+impl<T: Copy + Default> PerJoint<T> {
+    /// The values that `of` gives for `count` joints.
+    ///
+    /// Panics beyond the most joints an arm may have; a description with more is refused.
+    pub fn from_fn(count: usize, of: impl FnMut(usize) -> T) -> Self {
+        let mut out = Self {
+            values: [T::default(); MAX_JOINTS],
+            count,
+        };
+        for (value, new) in out.values[..count].iter_mut().zip((0..count).map(of)) {
+            *value = new;
+        }
+        out
+    }
+
+    /// `value` for each of `count` joints.
+    pub fn repeat(count: usize, value: T) -> Self {
+        Self::from_fn(count, |_| value)
+    }
+
+    /// Values of `of`, one for each value.
+    pub fn map<U: Copy + Default>(&self, mut of: impl FnMut(T) -> U) -> PerJoint<U> {
+        PerJoint::from_fn(self.count, |joint| of(self.values[joint]))
+    }
+}
+
+impl<T: Copy + Default> From<&[T]> for PerJoint<T> {
+    fn from(values: &[T]) -> Self {
+        Self::from_fn(values.len(), |joint| values[joint])
+    }
+}
+
+impl<T: Copy + Default, const N: usize> From<[T; N]> for PerJoint<T> {
+    fn from(values: [T; N]) -> Self {
+        values.as_slice().into()
+    }
+}
+
+impl<T> Deref for PerJoint<T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        &self.values[..self.count]
+    }
+}
+
+impl<T> DerefMut for PerJoint<T> {
+    fn deref_mut(&mut self) -> &mut [T] {
+        &mut self.values[..self.count]
+    }
+}
+
+impl<T: PartialEq> PartialEq for PerJoint<T> {
+    fn eq(&self, other: &Self) -> bool {
+        **self == **other
+    }
 }

@@ -8,17 +8,16 @@ fn ur5() -> Robot {
     Robot::load("ur5").unwrap()
 }
 
+fn model(robot: &Robot) -> ReferenceModel<6> {
+    ReferenceModel::new(robot).unwrap()
+}
+
 /// A UR5 whose two last drives turn both wrist joints.
 fn coupled() -> Robot {
     let limits = "limits = { position_rad = [-2, 2], velocity_rad_s = 2, torque_nm = 20 }";
     let overlay = format!(
         "from = 'ur5'
-        [[joints]]
-        name = 'wrist_2'
-        {limits}
-        [[joints]]
-        name = 'wrist_3'
-        {limits}
+        joints = [{{ name = 'wrist_2', {limits} }}, {{ name = 'wrist_3', {limits} }}]
         [coupling]
         joints = ['wrist_2', 'wrist_3']
         matrix = [[1, 0.5], [-1, 1]]"
@@ -38,7 +37,7 @@ fn random_state(random: &mut ChaCha8Rng) -> State<6> {
 #[test]
 fn inverse_dynamics_is_mass_matrix_times_acceleration_plus_bias() {
     for robot in [ur5(), coupled()] {
-        let model = ReferenceModel::<6>::new(&robot.perturbed(5, &Perturbation::PLANT)).unwrap();
+        let model = model(&robot.perturbed(5, &Perturbation::PLANT));
         let mut random = ChaCha8Rng::seed_from_u64(1);
         for _ in 0..500 {
             let state = random_state(&mut random);
@@ -53,7 +52,7 @@ fn inverse_dynamics_is_mass_matrix_times_acceleration_plus_bias() {
 #[test]
 fn power_of_the_torques_is_the_change_of_energy() {
     for robot in [ur5(), coupled()] {
-        let model = ReferenceModel::<6>::new(&robot.perturbed(6, &Perturbation::PLANT)).unwrap();
+        let model = model(&robot.perturbed(6, &Perturbation::PLANT));
         let mut random = ChaCha8Rng::seed_from_u64(2);
         for _ in 0..200 {
             let state = random_state(&mut random);
@@ -72,17 +71,15 @@ fn power_of_the_torques_is_the_change_of_energy() {
 
 #[test]
 fn gravity_torques_are_the_gradient_of_the_energy_at_rest() {
-    let model = ReferenceModel::<6>::new(&ur5()).unwrap();
+    let model = model(&ur5());
     let mut random = ChaCha8Rng::seed_from_u64(3);
     for _ in 0..100 {
         let q = random_state(&mut random).q;
         let gravity = model.gravity_torques(&q);
+        let energy = |q: Joints<6>| model.energy(&q, &Joints::zeros());
         for j in 0..6 {
-            let mut step = Joints::<6>::zeros();
-            step[j] = 1e-5;
-            let rest = Joints::zeros();
-            let slope =
-                (model.energy(&(q + step), &rest) - model.energy(&(q - step), &rest)) / 2e-5;
+            let step = Joints::<6>::ith(j, 1e-5);
+            let slope = (energy(q + step) - energy(q - step)) / 2e-5;
             assert!((slope - gravity[j]).abs() < 1e-7);
         }
     }
@@ -93,7 +90,7 @@ fn regressor_times_standard_parameters_is_the_torque() {
     let mut random = ChaCha8Rng::seed_from_u64(4);
     for robot in [ur5(), coupled()] {
         let robot = robot.perturbed(7, &Perturbation::PLANT);
-        let model = ReferenceModel::<6>::new(&robot).unwrap();
+        let model = model(&robot);
         let x = DVector::from_vec(robot.standard_parameters());
         // Rows of the motion before are written over.
         let mut rows = DMatrix::zeros(6, (LINK_PARAMETERS + 1) * 6);
@@ -111,7 +108,7 @@ fn regressor_times_standard_parameters_is_the_torque() {
 #[test]
 fn drives_of_coupled_joints_carry_their_torques() {
     let (alone, coupled) = (ur5(), coupled());
-    let [alone, both] = [&alone, &coupled].map(|robot| ReferenceModel::<6>::new(robot).unwrap());
+    let [alone, both] = [&alone, &coupled].map(model);
     let q = Joints::<6>::from_column_slice(&[0.3, -1.0, 0.8, -0.4, 0.6, 0.9]);
     let tau = alone.gravity_torques(&q);
     let mut theta = q;
@@ -143,7 +140,7 @@ fn ur5_has_36_inertial_base_parameters_and_40_with_rotors() {
 #[test]
 fn base_parameters_give_the_torque_of_the_standard_ones() {
     let robot = ur5().perturbed(8, &Perturbation::PLANT);
-    let model = ReferenceModel::<6>::new(&robot).unwrap();
+    let model = model(&robot);
     let map = ur5().base_map();
     let mut base_only = DVector::zeros(66);
     for (value, column) in map.base_parameters(&robot).iter().zip(&map.columns) {
@@ -161,8 +158,7 @@ fn base_parameters_give_the_torque_of_the_standard_ones() {
 
 #[test]
 fn an_independent_pivoted_factorisation_finds_the_same_rank() {
-    let robot = ur5();
-    let model = ReferenceModel::<6>::new(&robot).unwrap();
+    let model = model(&ur5());
     let mut random = ChaCha8Rng::seed_from_u64(6);
     let mut normal = SMatrix::<f64, 66, 66>::zeros();
     for _ in 0..100 {

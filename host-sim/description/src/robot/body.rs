@@ -37,9 +37,8 @@ impl Link {
     pub fn thickened(&self, least: impl Fn(&Vector3<f64>) -> f64) -> Self {
         let mut moments = self.second_moments().symmetric_eigen();
         let least = least(&moments.eigenvalues);
-        moments
-            .eigenvalues
-            .apply(|moment| *moment = moment.max(least));
+        let raise = |moment: &mut f64| *moment = moment.max(least);
+        moments.eigenvalues.apply(raise);
         let moments = moments.recompose();
         Self {
             inertia_com: moments.trace() * Matrix3::identity() - moments,
@@ -91,11 +90,8 @@ impl Link {
             return Some(*single);
         }
         let mass: f64 = parts.iter().map(|part| part.mass).sum();
-        let com = parts
-            .iter()
-            .map(|part| part.com * part.mass)
-            .sum::<Vector3<f64>>()
-            / mass;
+        let first: Vector3<f64> = parts.iter().map(|part| part.com * part.mass).sum();
+        let com = first / mass;
         let about_com = |part: &Self| {
             let d = part.com - com;
             part.inertia_com + part.mass * (d.dot(&d) * Matrix3::identity() - d * d.transpose())
@@ -277,7 +273,8 @@ impl Coupling {
         let unit = |other| f64::from(u8::from(other == joint));
         let mut others = 0..self.drives.nrows();
         others.any(|other| {
-            [(joint, other), (other, joint)]
+            let places = [(joint, other), (other, joint)];
+            places
                 .iter()
                 .any(|&place| self.drives[place] != unit(other))
         })

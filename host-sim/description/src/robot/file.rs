@@ -118,21 +118,15 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
         file,
         place: String::new(),
     };
-    check.that(
-        Robot::is_name(&raw.name),
-        "name",
-        "must be lower-case letters, digits and underscores, a letter first",
-    )?;
+    let form = "must be lower-case letters, digits and underscores, a letter first";
+    check.that(Robot::is_name(&raw.name), "name", form)?;
     check.finite("gravity_m_s2", &raw.gravity_m_s2)?;
-    check.that(
-        (1..=MAX_JOINTS).contains(&raw.joints.len()),
-        "joints",
-        &format!("{} joints, must be 1 to {MAX_JOINTS}", raw.joints.len()),
-    )?;
-    let flange = match &raw.flange {
-        Some(frame) => Some(placement_of_frame(frame, &check, "flange")?),
-        None => None,
-    };
+    let count = raw.joints.len();
+    let wrong = format!("{count} joints, must be 1 to {MAX_JOINTS}");
+    check.that((1..=MAX_JOINTS).contains(&count), "joints", &wrong)?;
+    let flange = raw.flange.as_ref();
+    let flange = flange.map(|frame| placement_of_frame(frame, &check, "flange"));
+    let flange = flange.transpose()?;
     let mut joints = Vec::with_capacity(raw.joints.len());
     // The part of the previous link's DH row that precedes this joint's rotation.
     let mut link_end = Placement::identity();
@@ -145,7 +139,10 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
                     origin: link_end.point(&Vector3::new(0.0, 0.0, dh.d_m)),
                     ..link_end
                 };
-                (placement, dh_link_end(dh))
+                // `Tx(a) Rx(alpha)`, from Craig's frame to the DH frame, belongs to the link.
+                let along_x = |x| Vector3::new(x, 0.0, 0.0);
+                let end = Placement::from_xyz_rpy(along_x(dh.a_m), along_x(dh.alpha_rad));
+                (placement, end)
             }
             (None, Some(frame)) => {
                 let here = placement_of_frame(frame, &check, "frame")?;
@@ -153,7 +150,9 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
             }
             _ => return Err(check.error("dh", "give exactly one of 'dh' and 'frame'")),
         };
-        let link = link_in_craig_frame(&joint.link, &end, &check.inside("link."))?;
+        let link = &joint.link;
+        let link = (link.mass_kg, link.com_m, link.inertia_kg_m2);
+        let link = link_in_craig_frame(link, &end, &check.inside("link."))?;
         check_numbers(joint, &check)?;
         joints.push(Joint {
             name: joint.name.clone(),
@@ -172,30 +171,19 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     let flange = flange.map_or(link_end, |flange| link_end.then(&flange));
     if let (Some(tool), Some(last)) = (&raw.tool, joints.last_mut()) {
         let check = check.inside("tool.");
-        let body = LinkFile {
-            mass_kg: tool.mass_kg,
-            com_m: tool.com_m,
-            inertia_kg_m2: tool.inertia_kg_m2,
-        };
-        let body = link_in_craig_frame(&body, &flange, &check)?;
+        let body = (tool.mass_kg, tool.com_m, tool.inertia_kg_m2);
+        let body = link_in_craig_frame(body, &flange, &check)?;
         last.link = Link::lumped(&[last.link, body]).unwrap_or(last.link);
         last.capsules
             .extend(capsules(&tool.capsules, &flange, &check)?);
     }
-    check.that(
-        raw.workspace.table_height.is_none_or(f64::is_finite),
-        "workspace.table_height_m",
-        "is not a finite number",
-    )?;
-    check.not_negative("workspace.clearance_m", raw.workspace.clearance)?;
+    let table = raw.workspace.table_height.unwrap_or_default();
+    check.finite("workspace.table_height_m", &[table])?;
+    check.sign("workspace.clearance_m", raw.workspace.clearance, false)?;
     let names: Vec<&str> = joints.iter().map(|joint| joint.name.as_str()).collect();
-    let coupling = raw
-        .coupling
-        .as_ref()
-        .map(|file| Coupling::new(file, &names));
-    let coupling = coupling
-        .transpose()
-        .map_err(|problem| check.error("coupling", &problem))?;
+    let coupling = raw.coupling.as_ref();
+    let coupling = coupling.map(|file| Coupling::new(file, &names)).transpose();
+    let coupling = coupling.map_err(|problem| check.error("coupling", &problem))?;
     Ok(Robot {
         coupling,
         workspace: raw.workspace,
@@ -208,14 +196,6 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     })
 }
 
-/// The part of a standard DH row that belongs to the link: `Tx(a) Rx(alpha)`, from Craig's frame to the DH frame.
-fn dh_link_end(dh: &DhFile) -> Placement {
-    Placement::from_xyz_rpy(
-        Vector3::new(dh.a_m, 0.0, 0.0),
-        Vector3::new(dh.alpha_rad, 0.0, 0.0),
-    )
-}
-
 fn placement_of_frame(
     frame: &FrameFile,
     check: &Check<'_>,
@@ -223,28 +203,26 @@ fn placement_of_frame(
 ) -> Result<Placement, Refusal> {
     check.finite(field, &frame.xyz_m)?;
     check.finite(field, &frame.rpy_rad)?;
-    Ok(Placement::from_xyz_rpy(
-        frame.xyz_m.into(),
-        frame.rpy_rad.into(),
-    ))
+    let (xyz, rpy) = (frame.xyz_m.into(), frame.rpy_rad.into());
+    Ok(Placement::from_xyz_rpy(xyz, rpy))
 }
 
+/// * `i` tensor about the centre of mass
 fn link_in_craig_frame(
-    link: &LinkFile,
+    (mass, com, i): (f64, [f64; 3], InertiaFile),
     end: &Placement,
     check: &Check<'_>,
 ) -> Result<Link, Refusal> {
-    let i = &link.inertia_kg_m2;
-    check.positive("mass_kg", link.mass_kg)?;
-    check.finite("com_m", &link.com_m)?;
+    check.sign("mass_kg", mass, true)?;
+    check.finite("com_m", &com)?;
     check.finite("inertia_kg_m2", &[i.xx, i.yy, i.zz, i.xy, i.xz, i.yz])?;
     let inertia = Matrix3::new(i.xx, i.xy, i.xz, i.xy, i.yy, i.yz, i.xz, i.yz, i.zz);
     if let Some(problem) = Link::inertia_problem(&inertia) {
         return Err(check.error("inertia_kg_m2", problem));
     }
     let in_dh_frame = Link {
-        mass: link.mass_kg,
-        com: link.com_m.into(),
+        mass,
+        com: com.into(),
         inertia_com: inertia,
     };
     Ok(in_dh_frame.placed(end))
@@ -253,32 +231,21 @@ fn link_in_craig_frame(
 /// Checks the numbers of drive, friction and limits.
 fn check_numbers(joint: &JointFile, check: &Check<'_>) -> Result<(), Refusal> {
     let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
+    let (stribeck_velocity, cycles) = (friction.stribeck_velocity, friction.cogging_cycles_rev);
     for (field, value, positive) in [
         ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
         ("drive.gain_nm_a", drive.gain, true),
         ("friction.viscous_nm_s_rad", friction.viscous, false),
         ("friction.coulomb_nm", friction.coulomb, false),
         ("friction.stribeck_ratio", friction.stribeck_ratio, false),
-        (
-            "friction.stribeck_velocity_rad_s",
-            friction.stribeck_velocity,
-            true,
-        ),
+        ("friction.stribeck_velocity_rad_s", stribeck_velocity, true),
         ("friction.cogging_nm", friction.cogging, false),
-        (
-            "friction.cogging_cycles_rev",
-            friction.cogging_cycles_rev,
-            false,
-        ),
+        ("friction.cogging_cycles_rev", cycles, false),
         ("limits.velocity_rad_s", limits.velocity, true),
         ("limits.acceleration_rad_s2", limits.acceleration, true),
         ("limits.torque_nm", limits.torque, true),
     ] {
-        if positive {
-            check.positive(field, value)?;
-        } else {
-            check.not_negative(field, value)?;
-        }
+        check.sign(field, value, positive)?;
     }
     let bits = (8..=32).contains(&drive.encoder_bits);
     check.that(bits, "drive.encoder_bits", "must be 8 to 32")?;
@@ -298,7 +265,7 @@ fn capsules(
         .map(|capsule| {
             check.finite("capsules", &capsule.from_m)?;
             check.finite("capsules", &capsule.to_m)?;
-            check.positive("capsules.radius_m", capsule.radius_m)?;
+            check.sign("capsules.radius_m", capsule.radius_m, true)?;
             let ends = [capsule.from_m, capsule.to_m];
             Ok(Capsule {
                 ends: ends.map(|point| end.point(&point.into())),
@@ -337,26 +304,17 @@ impl Check<'_> {
     }
 
     fn finite(&self, field: &str, values: &[f64]) -> Result<(), Refusal> {
-        self.that(
-            values.iter().all(|value| value.is_finite()),
-            field,
-            "is not a finite number",
-        )
+        let finite = values.iter().all(|value| value.is_finite());
+        self.that(finite, field, "is not a finite number")
     }
 
-    fn positive(&self, field: &str, value: f64) -> Result<(), Refusal> {
-        self.that(
-            value.is_finite() && value > 0.0,
-            field,
-            &format!("is {value}, must be positive"),
-        )
-    }
-
-    fn not_negative(&self, field: &str, value: f64) -> Result<(), Refusal> {
-        self.that(
-            value.is_finite() && value >= 0.0,
-            field,
-            &format!("is {value}, must not be negative"),
-        )
+    /// A finite value is `positive`, or at least not negative.
+    fn sign(&self, field: &str, value: f64, positive: bool) -> Result<(), Refusal> {
+        let (fits, bound) = match positive {
+            true => (value > 0.0, "must be positive"),
+            false => (value >= 0.0, "must not be negative"),
+        };
+        let problem = format!("is {value}, {bound}");
+        self.that(value.is_finite() && fits, field, &problem)
     }
 }

@@ -121,30 +121,24 @@ impl FromStr for Units {
         let mut found = [None; 6];
         for part in text.split(',') {
             let (quantity, unit) = part.split_once('=').unwrap_or((part, ""));
-            let Some(place) = QUANTITIES
-                .iter()
-                .position(|known| *known == quantity.trim())
-            else {
+            let mut known = QUANTITIES.iter();
+            let Some(place) = known.position(|known| *known == quantity.trim()) else {
                 let known = QUANTITIES.join(", ");
                 return Err(format!("'{quantity}' is no quantity of a log: {known}"));
             };
             let units = || UNITS.iter().filter(|(of, ..)| *of == place);
             let Some((.., scale)) = units().find(|(_, name, _)| *name == unit.trim()) else {
                 let known: Vec<&str> = units().map(|(_, name, _)| *name).collect();
-                return Err(format!(
-                    "'{unit}' is no unit of {quantity}: {}",
-                    known.join(", ")
-                ));
+                let known = known.join(", ");
+                return Err(format!("'{unit}' is no unit of {quantity}: {known}"));
             };
             found[place] = Some(*scale);
         }
         let mut scale = found.map(|scale| scale.unwrap_or(1.0));
         scale[2] = found[2].unwrap_or(scale[1]);
         scale[3] = found[3].unwrap_or(scale[1]);
-        Ok(Self {
-            text: text.to_owned(),
-            scale,
-        })
+        let text = text.to_owned();
+        Ok(Self { text, scale })
     }
 }
 

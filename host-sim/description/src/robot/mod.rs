@@ -9,7 +9,6 @@ mod file;
 mod geometry;
 mod log_columns;
 mod overlay;
-mod write;
 
 pub use body::{Coupling, Perturbation};
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
@@ -190,10 +189,8 @@ impl Robot {
 
     /// Standard parameters of every link, then the rotor inertia of every joint: 10 N + N values, SI.
     pub fn standard_parameters(&self) -> Vec<f64> {
-        let links = self
-            .joints
-            .iter()
-            .flat_map(|joint| joint.link.standard_parameters());
+        let joints = self.joints.iter();
+        let links = joints.flat_map(|joint| joint.link.standard_parameters());
         let rotors = self.joints.iter().map(|joint| joint.drive.rotor_inertia);
         links.chain(rotors).collect()
     }
@@ -206,18 +203,9 @@ impl Link {
     pub fn standard_parameters(&self) -> [f64; LINK_PARAMETERS] {
         let (m, c) = (self.mass, self.com);
         let i = self.inertia_com + m * (c.dot(&c) * Matrix3::identity() - c * c.transpose());
-        [
-            m,
-            m * c.x,
-            m * c.y,
-            m * c.z,
-            i.m11,
-            i.m22,
-            i.m33,
-            i.m12,
-            i.m13,
-            i.m23,
-        ]
+        let first = m * c;
+        let [xx, yy, zz, xy, xz, yz] = [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23];
+        [m, first.x, first.y, first.z, xx, yy, zz, xy, xz, yz]
     }
 
     /// Second moments of mass about the centre of mass, `½ tr(I) 1 − I`, kg·m².

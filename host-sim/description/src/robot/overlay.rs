@@ -1,8 +1,12 @@
-//! From a name or a file to a robot; overlays, a TOML file with what a URDF or MJCF does not have.
+//! From a name or a file to a robot, and back; overlays, TOML files with what a URDF or MJCF does not have.
 
-use super::{Drive, Friction, Limits, Robot, file, overlay};
+use super::file::{
+    self, CapsuleFile, DhFile, FrameFile, InertiaFile, JointFile, LinkFile, RobotFile,
+};
+use super::{Drive, Friction, Joint, Limits, Link, Placement, Robot};
 use crate::Refusal;
 use crate::urdf::{self, Import, Selection};
+use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use toml::{Table, Value};
@@ -46,13 +50,11 @@ impl Robot {
         selection: &Selection<'_>,
     ) -> Result<String, toml::ser::Error> {
         let joints = self.joints.iter().map(|joint| {
-            let (drive, friction, limits) = (joint.drive, joint.friction, joint.limits);
-            let name = joint.name.as_str();
             Value::try_from(OverlayJoint {
-                name,
-                drive,
-                friction,
-                limits,
+                name: &joint.name,
+                drive: joint.drive,
+                friction: joint.friction,
+                limits: joint.limits,
             })
         });
         let joints = Value::Array(joints.collect::<Result<_, _>>()?);
@@ -78,19 +80,15 @@ pub(super) fn read(
     text: &str,
     selection: &Selection<'_>,
 ) -> Result<Option<Import>, Refusal> {
-    if !text
-        .parse::<Table>()
-        .is_ok_and(|table| table.contains_key(FROM))
-    {
+    let table = text.parse::<Table>();
+    if !table.is_ok_and(|table| table.contains_key(FROM)) {
         return Ok(None);
     }
     let overlay: OverlayFile =
         toml::from_str(text).map_err(|error| Refusal::toml(path, text, &error))?;
     let field = |field: &str, problem: String| Refusal::of(path, format!("{field}: {problem}"));
-    if overlay
-        .link_mass_kg
-        .is_some_and(|mass| mass.is_nan() || mass <= 0.0)
-    {
+    let bad_mass = |mass: f64| mass.is_nan() || mass <= 0.0;
+    if overlay.link_mass_kg.is_some_and(bad_mass) {
         return Err(field("link_mass_kg", "must be positive".to_owned()));
     }
     let selection = Selection {
@@ -147,7 +145,8 @@ fn merged(
             let there = |key: &str| limits.get(key).is_some();
             there("position_rad") && there("velocity_rad_s") && there("torque_nm")
         });
-        if let (Some(own), Value::Table(joint)) = (joint_of(&mut whole, place), joint) {
+        let own = whole.get_mut("joints").and_then(|own| own.get_mut(place));
+        if let (Some(Value::Table(own)), Value::Table(joint)) = (own, joint) {
             put(own, joint);
         }
     }
@@ -169,11 +168,6 @@ fn merged(
     Ok(merged)
 }
 
-/// Table of a joint in a description.
-fn joint_of(whole: &mut Table, place: usize) -> Option<&mut Table> {
-    whole.get_mut("joints")?.get_mut(place)?.as_table_mut()
-}
-
 /// Puts the values of `overlay` in the place of those of `whole`, table by table.
 fn put(whole: &mut Table, overlay: Table) {
     for (key, value) in overlay {
@@ -183,6 +177,99 @@ fn put(whole: &mut Table, overlay: Table) {
                 whole.insert(key, value);
             }
         }
+    }
+}
+
+impl Robot {
+    /// The description file of this robot, which [`Robot::parse`] reads back to rounding. Joints that came with a
+    /// Denavit–Hartenberg row keep it, and their links stand in its frame; all others are given by their joint frames.
+    ///
+    /// Errors: those of the serialiser.
+    ///
+    /// ```
+    /// use foretorque_description::robot::Robot;
+    /// let ur5 = Robot::load("ur5").unwrap();
+    /// let again = Robot::parse("again", &ur5.to_toml().unwrap()).unwrap();
+    /// assert!((again.joints[2].link.com - ur5.joints[2].link.com).amax() < 1e-15);
+    /// ```
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        let mut joints = Vec::with_capacity(self.joints.len());
+        let mut link_end = Placement::identity();
+        for joint in &self.joints {
+            let here = link_end.inverse().then(&joint.placement);
+            joints.push(joint_file(joint, &here));
+            link_end = joint.dh_frame.unwrap_or_else(Placement::identity);
+        }
+        let names: Vec<&str> = self.joints.iter().map(|j| j.name.as_str()).collect();
+        let flange = link_end.inverse().then(&self.flange).snapped();
+        toml::to_string(&RobotFile {
+            name: self.name.clone(),
+            gravity_m_s2: self.gravity.into(),
+            link_names: self.link_names.clone(),
+            joints,
+            // Part of the last link by now.
+            tool: None,
+            flange: (flange != Placement::identity()).then(|| frame_file(&flange)),
+            coupling: self.coupling.as_ref().map(|coupling| coupling.file(&names)),
+            log_columns: self.log_columns.clone(),
+            workspace: self.workspace,
+        })
+    }
+}
+
+/// * `here` joint frame in the end frame of the link before
+fn joint_file(joint: &Joint, here: &Placement) -> JointFile {
+    let end = joint.dh_frame.unwrap_or_else(Placement::identity);
+    let in_end = end.inverse();
+    let link = joint.link.placed(&in_end);
+    let capsule_end = |point: &Vector3<f64>| -> [f64; 3] { in_end.point(point).into() };
+    JointFile {
+        name: joint.name.clone(),
+        link_name: joint.link_name.clone(),
+        dh: joint.dh_frame.map(|end| DhFile {
+            d_m: here.origin.z,
+            a_m: end.origin.x,
+            alpha_rad: end.rot_parent_child.m32.atan2(end.rot_parent_child.m22),
+        }),
+        frame: joint.dh_frame.is_none().then(|| frame_file(here)),
+        link: link_file(&link),
+        drive: joint.drive,
+        friction: joint.friction,
+        limits: joint.limits,
+        capsules: joint
+            .capsules
+            .iter()
+            .map(|capsule| CapsuleFile {
+                from_m: capsule_end(&capsule.ends[0]),
+                to_m: capsule_end(&capsule.ends[1]),
+                radius_m: capsule.radius,
+            })
+            .collect(),
+    }
+}
+
+fn frame_file(frame: &Placement) -> FrameFile {
+    let (roll, pitch, yaw) =
+        Rotation3::from_matrix_unchecked(frame.rot_parent_child).euler_angles();
+    FrameFile {
+        xyz_m: frame.origin.into(),
+        rpy_rad: [roll, pitch, yaw],
+    }
+}
+
+fn link_file(link: &Link) -> LinkFile {
+    let i = &link.inertia_com;
+    LinkFile {
+        mass_kg: link.mass,
+        com_m: link.com.into(),
+        inertia_kg_m2: InertiaFile {
+            xx: i.m11,
+            yy: i.m22,
+            zz: i.m33,
+            xy: i.m12,
+            xz: i.m13,
+            yz: i.m23,
+        },
     }
 }
 
@@ -247,7 +334,7 @@ impl Robot {
         if is_xml || text.trim_start().starts_with('<') {
             return urdf::parse(file, text, selection);
         }
-        if let Some(import) = overlay::read(file, text, selection)? {
+        if let Some(import) = read(file, text, selection)? {
             return Ok(import);
         }
         if *selection != Selection::default() {

@@ -145,13 +145,39 @@ fn an_overlay_completes_the_file_beside_it() {
     let cases = cases.replace("JOINT", "[[joints]] / name = 'panda_joint2'");
     for case in cases.replace("COUPLING", coupling).trim().lines() {
         let (more, message) = case.split_once('|').unwrap();
-        let error = overlay(&more.trim().replace(" / ", "\n"))
-            .unwrap_err()
-            .to_string();
+        let error = overlay(&more.trim().replace(" / ", "\n")).unwrap_err();
+        let error = error.to_string();
         let error = error.strip_prefix(&format!("{file}: ")).unwrap_or(&error);
         assert!(error.starts_with(message.trim()), "{more}: {error}");
     }
     let itself = Robot::parse(&file, "from = 'arm.toml'").unwrap_err();
     assert!(itself.to_string().ends_with("from: names this file itself"));
     std::fs::remove_dir_all(&here).unwrap();
+}
+
+#[test]
+fn a_description_is_read_back_as_the_robot_it_was_written_from() {
+    for name in ["ur5", "panda"] {
+        let robot = Robot::load(name)
+            .expect("built in")
+            .perturbed(3, &Perturbation::PLANT);
+        let text = robot.to_toml().expect("serialises");
+        let again = Robot::parse("again", &text).expect("reads its own writing");
+        let pairs = robot.standard_parameters().into_iter();
+        for (a, b) in pairs.zip(again.standard_parameters()) {
+            assert!((a - b).abs() < 1e-12, "{name}: {a} {b}");
+        }
+        assert_eq!(robot.log_columns, again.log_columns);
+        for (a, b) in robot.joints.iter().zip(&again.joints) {
+            let apart = a.placement.rot_parent_child - b.placement.rot_parent_child;
+            assert!(apart.amax() < 1e-12);
+            assert!((a.placement.origin - b.placement.origin).amax() < 1e-12);
+            assert_eq!((a.friction, a.limits), (b.friction, b.limits));
+            assert_eq!(a.dh_frame.is_some(), b.dh_frame.is_some());
+            for (a, b) in a.capsules.iter().zip(&b.capsules) {
+                assert!((a.ends[1] - b.ends[1]).amax() < 1e-12);
+            }
+        }
+        assert!((robot.flange.origin - again.flange.origin).amax() < 1e-12);
+    }
 }

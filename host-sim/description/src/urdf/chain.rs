@@ -18,7 +18,6 @@ const TORQUE: (f64, f64) = (1.5, 1.0);
 const CURRENT: f64 = 500.0;
 /// Largest share of a torque limit that friction takes at the velocity limit.
 const FRICTION_SHARE: f64 = 0.75;
-const CONTINUOUS_RANGE: (f64, f64) = (-TAU, TAU);
 
 /// Builds the arm that the selection picks from the tree.
 pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Import, String> {
@@ -41,11 +40,8 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         let turn = usable(&document.joints[index]).and_then(z_onto_axis);
         turn.map_err(|problem| of_joint(index, problem + &without(document, &path)))
     };
-    let moved: Vec<usize> = path
-        .iter()
-        .copied()
-        .filter(|&j| !tree.is_fixed(j))
-        .collect();
+    let moved = path.iter().copied().filter(|&j| !tree.is_fixed(j));
+    let moved: Vec<usize> = moved.collect();
     // Before the joints are counted: an arm of many joints stands on a lift or a floating base as a rule.
     for &index in &moved {
         turn(index)?;
@@ -63,11 +59,9 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     }
     let mut notes = tree.left_out(base, &path, end);
     notes.extend(document.notes.iter().cloned());
+    let tip_name = &document.links[tip].name;
     if !notes.is_empty() {
-        notes.insert(
-            0,
-            format!("the arm ends at link '{}'", document.links[tip].name),
-        );
+        notes.insert(0, format!("the arm ends at link '{tip_name}'"));
     }
     let mut joints: Vec<Joint> = Vec::with_capacity(moving);
     // Frame of the current link in the frame of the joint that moves it (in the base frame at first).
@@ -75,9 +69,9 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     for &index in &path {
         let element = &document.joints[index];
         if element.squared {
+            let name = &element.name;
             notes.push(format!(
-                "joint '{}': angles near right angles are taken as right angles",
-                element.name
+                "joint '{name}': angles near right angles are taken as right angles"
             ));
         }
         let joint_frame = link_frame.then(&element.origin);
@@ -108,17 +102,13 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             dh_frame: None,
         });
     }
-    let without: Vec<&str> = path
-        .iter()
-        .filter(|&&joint| !tree.is_fixed(joint))
-        .map(|&joint| &document.joints[joint])
-        .filter(|joint| joint.limit.acceleration.is_none())
-        .map(|joint| joint.name.as_str())
-        .collect();
+    let elements = moved.iter().map(|&joint| &document.joints[joint]);
+    let without = elements.filter(|joint| joint.limit.acceleration.is_none());
+    let without: Vec<&str> = without.map(|joint| joint.name.as_str()).collect();
     if !without.is_empty() {
+        let names = without.join("', '");
         notes.push(format!(
-            "no acceleration limit at joints '{}': {ACCELERATION} rad/s² is taken",
-            without.join("', '")
+            "no acceleration limit at joints '{names}': {ACCELERATION} rad/s² is taken"
         ));
     }
     wide_links(&joints, &link_frame, &mut notes);
@@ -130,10 +120,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         gravity: document.gravity,
         joints,
         flange: link_frame.snapped(),
-        link_names: Some((
-            document.links[base].name.clone(),
-            document.links[tip].name.clone(),
-        )),
+        link_names: Some((document.links[base].name.clone(), tip_name.clone())),
         coupling: None,
         log_columns: None,
         workspace: Workspace::default(),
@@ -155,9 +142,8 @@ fn without(document: &Document, path: &[usize]) -> String {
     let stops: Vec<usize> = path.iter().copied().filter(stops).collect();
     let base = number.checked_sub(1).map(|before| stops[before]);
     let base = base.map(|joint| &document.joints[joint].child);
-    let tip = stops
-        .get(number)
-        .map(|&joint| &document.joints[joint].parent);
+    let tip = stops.get(number);
+    let tip = tip.map(|&joint| &document.joints[joint].parent);
     match (base, tip) {
         (Some(base), Some(tip)) => format!(" (--base '{base}' --tip '{tip}' leave it out)"),
         (Some(base), None) => format!(" (--base '{base}' begins behind it)"),
@@ -213,52 +199,46 @@ fn friction(joint: &JointElement) -> Result<Friction, String> {
 }
 
 fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, String> {
-    let limit = &joint.limit;
-    let velocity = limit
-        .velocity
-        .filter(|value| *value > 0.0)
-        .unwrap_or_else(|| {
-            notes.push(format!(
-                "joint '{}': no velocity limit, {VELOCITY} rad/s is taken",
-                joint.name
-            ));
-            VELOCITY
-        });
+    let (limit, name) = (&joint.limit, &joint.name);
+    let velocity = limit.velocity.filter(|value| *value > 0.0);
+    if velocity.is_none() {
+        notes.push(format!(
+            "joint '{name}': no velocity limit, {VELOCITY} rad/s is taken"
+        ));
+    }
     let position = match (joint.kind.as_str(), limit.lower, limit.upper) {
         (_, Some(lower), Some(upper)) if lower < upper => (lower, upper),
         ("continuous", ..) => {
             notes.push(format!(
-                "joint '{}' is continuous: its range is taken as ±2π rad",
-                joint.name
+                "joint '{name}' is continuous: its range is taken as ±2π rad"
             ));
-            CONTINUOUS_RANGE
+            (-TAU, TAU)
         }
         // As files have it that give no range.
         (_, None, None) | (_, Some(0.0), Some(0.0) | None) | (_, None, Some(0.0)) => {
-            notes.push(format!("joint '{}': no range, ±π rad is taken", joint.name));
+            notes.push(format!("joint '{name}': no range, ±π rad is taken"));
             (-PI, PI)
         }
         _ => {
-            return Err(
-                "needs a lower limit below its upper limit (or none: ±π rad is taken)".to_owned(),
-            );
+            let problem = "needs a lower limit below its upper limit (or none: ±π rad is taken)";
+            return Err(problem.to_owned());
         }
     };
     let (lower, upper) = position;
     if lower.abs().max(upper.abs()) > TURN {
         notes.push(format!(
-            "joint '{}': its range {lower} … {upper} rad ends beyond a turn: are these degrees?",
-            joint.name
+            "joint '{name}': its range {lower} … {upper} rad ends beyond a turn: are these degrees?"
         ));
     }
     let acceleration = limit.acceleration.unwrap_or(ACCELERATION);
     if acceleration <= 0.0 {
-        let problem = format!("has the acceleration limit {acceleration}, must be positive");
-        return Err(problem);
+        return Err(format!(
+            "has the acceleration limit {acceleration}, must be positive"
+        ));
     }
     Ok(Limits {
         position,
-        velocity,
+        velocity: velocity.unwrap_or(VELOCITY),
         acceleration,
         // Not positive: taken from the weight in the end.
         torque: limit.effort.unwrap_or(0.0),
@@ -289,11 +269,9 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
         }
         let (mut lever, mut weight) = (0.0, 0.0);
         for (place, joint) in joints.iter().enumerate().skip(index) {
-            lever += if place > index {
-                joint.placement.origin.norm()
-            } else {
-                0.0
-            };
+            if place > index {
+                lever += joint.placement.origin.norm();
+            }
             weight += 9.81 * joint.link.mass * (lever + joint.link.com.norm());
         }
         let joint = &mut joints[index];
@@ -346,16 +324,8 @@ fn lower_speeds(joints: &mut [Joint], notes: &mut Vec<String>) {
 
 /// Lower-case letters, digits and underscores, a letter first: what the name of a Rust module allows.
 fn plain_name(name: &str) -> String {
-    let plain: String = name
-        .chars()
-        .map(|c| {
-            if c.is_ascii_alphanumeric() {
-                c.to_ascii_lowercase()
-            } else {
-                '_'
-            }
-        })
-        .collect();
+    let name = name.to_ascii_lowercase();
+    let plain = name.replace(|c: char| !c.is_ascii_alphanumeric(), "_");
     if plain.starts_with(|c: char| c.is_ascii_lowercase()) {
         plain
     } else {

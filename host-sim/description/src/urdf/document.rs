@@ -75,19 +75,16 @@ const MOST_PREFIXES: usize = 16;
 pub(super) fn with_prefixes(text: &str) -> String {
     let mut text = text.to_owned();
     for _ in 0..MOST_PREFIXES {
-        let prefix = match xml(&text) {
-            Err(roxmltree::Error::UnknownNamespace(prefix, _)) => prefix,
-            _ => break,
+        let Err(roxmltree::Error::UnknownNamespace(prefix, _)) = xml(&text) else {
+            break;
         };
-        let root = ["<robot", "<mujoco"]
-            .iter()
-            .filter_map(|root| text.find(root));
-        let Some(place) = root.min() else { break };
+        let roots = ["<robot", "<mujoco"].into_iter();
+        let Some(place) = roots.filter_map(|root| text.find(root)).min() else {
+            break;
+        };
         let end = text[place..].find([' ', '>', '\n', '\t', '\r']);
-        text.insert_str(
-            place + end.unwrap_or(0),
-            &format!(" xmlns:{prefix}=\"{prefix}\""),
-        );
+        let declaration = format!(" xmlns:{prefix}=\"{prefix}\"");
+        text.insert_str(place + end.unwrap_or(0), &declaration);
     }
     text
 }
@@ -109,16 +106,14 @@ pub(super) fn parsed(text: &str) -> Result<roxmltree::Document<'_>, String> {
 pub(super) fn read(text: &str) -> Result<Document, String> {
     let xml = parsed(text)?;
     let root = xml.root_element();
-    if root.tag_name().name() != "robot" {
-        let found = root.tag_name().name();
-        return Err(no_robot(&format!(
-            "<{found}> instead of <robot> or <mujoco>"
-        )));
+    let found = root.tag_name().name();
+    if found != "robot" {
+        let reason = format!("<{found}> instead of <robot> or <mujoco>");
+        return Err(no_robot(&reason));
     }
     let is_macro = |node: Node<'_, '_>| {
-        node.tag_name()
-            .namespace()
-            .is_some_and(|n| n.ends_with("xacro"))
+        let namespace = node.tag_name().namespace();
+        namespace.is_some_and(|n| n.ends_with("xacro"))
     };
     if root.descendants().any(is_macro) {
         return Err(format!("contains xacro macros{EXPAND}"));
@@ -237,10 +232,8 @@ fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), String> {
     let xyz = vector(node, "xyz")?.unwrap_or_default();
     let written = vector(node, "rpy")?.unwrap_or_default();
     if written.amax() > TURN {
-        return Err(problem(
-            node,
-            "has more than a turn in rpy, which is in radians",
-        ));
+        let what = "has more than a turn in rpy, which is in radians";
+        return Err(problem(node, what));
     }
     let rpy = written.map(squared);
     // Up to 1e-9 rad is rounding of an exact number: no note.
@@ -315,16 +308,18 @@ pub(super) fn vector(node: Node<'_, '_>, name: &str) -> Result<Option<Vector3<f6
     let Some(text) = node.attribute(name) else {
         return Ok(None);
     };
-    let values: Option<Vec<f64>> = text.split_whitespace().map(parse_number).collect();
-    match values.as_deref() {
+    match list(text).as_deref() {
         Some(&[x, y, z]) => Ok(Some(Vector3::new(x, y, z))),
         _ => Err(not(node, name, text, "three numbers")),
     }
 }
 
+/// Numbers between spaces.
+pub(super) fn list(text: &str) -> Option<Vec<f64>> {
+    text.split_whitespace().map(parse_number).collect()
+}
+
 pub(super) fn parse_number(text: &str) -> Option<f64> {
-    text.trim()
-        .parse()
-        .ok()
-        .filter(|value: &f64| value.is_finite())
+    let value = text.trim().parse().ok();
+    value.filter(|value: &f64| value.is_finite())
 }

@@ -8,8 +8,8 @@ mod attributes;
 
 use super::document::{
     Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, TURN, body,
-    child, children, no_robot, number, optional, parse_number, parsed, problem, required, squared,
-    vector,
+    child, children, list, no_robot, number, optional, parse_number, parsed, problem, required,
+    squared, vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};
@@ -107,6 +107,12 @@ pub(super) fn read(file: &Path, text: String) -> Result<Document, String> {
     reader.document.unique()
 }
 
+/// The problem of a `part` of an element that MuJoCo alone can apply.
+fn unreadable(node: Node<'_, '_>, part: &str) -> String {
+    let way = "save the compiled model with MuJoCo (mj_saveLastXML)";
+    problem(node, &format!("{part}cannot be read: {way}"))
+}
+
 struct Reader<'a, 'input> {
     root: Node<'a, 'input>,
     degrees: bool,
@@ -133,10 +139,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                     return Err(problem(inner, "in a <frame> cannot be read"));
                 }
                 "replicate" | "attach" | "composite" | "flexcomp" => {
-                    return Err(problem(
-                        inner,
-                        "cannot be read: save the compiled model with MuJoCo (mj_saveLastXML)",
-                    ));
+                    return Err(unreadable(inner, ""));
                 }
                 _ => {}
             }
@@ -240,10 +243,9 @@ impl<'a, 'input> Reader<'a, 'input> {
         };
         let axis = three(self.values(node, class, "axis")?, Vector3::z())?;
         let anchor = three(self.values(node, class, "pos")?, Vector3::zeros())?;
-        let turn = if kind == "prismatic" {
-            1.0
-        } else {
-            self.angle(1.0)
+        let turn = match kind {
+            "prismatic" => 1.0,
+            _ => self.angle(1.0),
         };
         let back = Unit::try_new(axis, 1e-9).map_or(Matrix3::identity(), |axis| {
             let back = -of("ref").ok().flatten().unwrap_or(0.0) * turn;
@@ -296,16 +298,11 @@ impl<'a, 'input> Reader<'a, 'input> {
         if node.has_tag_name("motor") {
             ranges.push(self.range(node, "main", ["ctrlrange", "ctrllimited"])?);
         }
-        let most = ranges
-            .into_iter()
-            .flatten()
-            .map(|(low, high)| gear * high.min(-low));
+        let ranges = ranges.into_iter().flatten();
+        let most = ranges.map(|(low, high)| gear * high.min(-low));
         let most = most.filter(|most| *most > 0.0).reduce(f64::min);
-        let driven = self
-            .document
-            .joints
-            .iter_mut()
-            .find(|joint| joint.name == name);
+        let mut joints = self.document.joints.iter_mut();
+        let driven = joints.find(|joint| joint.name == name);
         if let (Some(joint), Some(most)) = (driven, most) {
             joint.limit.effort = Some(joint.limit.effort.map_or(most, |known| known.min(most)));
         }
@@ -328,17 +325,13 @@ impl<'a, 'input> Reader<'a, 'input> {
             }
             "connect" | "weld" => {
                 let held = [named("body1"), named("body2")];
-                let bolts = self
-                    .document
-                    .joints
-                    .iter()
-                    .filter(|joint| joint.kind == "fixed");
-                let bolts = bolts.filter(|bolt| held.contains(&bolt.child.as_str()));
+                let holds = |joint: &JointElement| held.contains(&joint.child.as_str());
+                let bolts = self.document.joints.iter();
+                let bolts = bolts.filter(|joint| joint.kind == "fixed" && holds(joint));
                 let moved: Vec<String> = bolts.map(|bolt| bolt.parent.clone()).collect();
                 for joint in &mut self.document.joints {
-                    let holds =
-                        moved.contains(&joint.child) || held.contains(&joint.child.as_str());
-                    if holds && joint.kind != "fixed" {
+                    let held = moved.contains(&joint.child) || holds(joint);
+                    if held && joint.kind != "fixed" {
                         joint.kind = "held by an equality constraint".to_owned();
                     }
                 }
@@ -346,5 +339,99 @@ impl<'a, 'input> Reader<'a, 'input> {
             _ => {}
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::dynamics::{Joints, ReferenceModel};
+    use crate::urdf::tests::{MJCF, imported, whole};
+    use crate::urdf::{Import, Selection, parse};
+    use std::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
+        let import = imported(MJCF);
+        let [shoulder, elbow] = &import.robot.joints[..] else {
+            panic!("{:?}", import.notes);
+        };
+        assert_eq!(import.robot.gravity.z, -9.8);
+        assert_eq!((&*shoulder.name, &*elbow.name), ("shoulder", "elbow"));
+        assert_eq!(shoulder.limits.position, (-FRAC_PI_2, FRAC_PI_2));
+        let rotors = [shoulder, elbow].map(|joint| joint.drive.rotor_inertia);
+        assert_eq!(rotors, [0.1, 0.02]);
+        assert_eq!((elbow.friction.viscous, elbow.friction.coulomb), (1.0, 0.3));
+        assert_eq!((shoulder.limits.torque, elbow.limits.torque), (35.0, 15.0));
+        // The elbow turns about z of the forearm, y of the upper arm, at (0.3 + 0.1, 0, 0); at q = 10° the forearm is as drawn.
+        let q = Joints::<2>::new(0.0, 10.0_f64.to_radians());
+        let lever_elbow = 0.1;
+        let model = ReferenceModel::<2>::new(&import.robot).unwrap();
+        let gravity = model.gravity_torques(&q);
+        let expected = -9.8 * (2.0 * 0.2 + 0.5);
+        assert!((gravity[0] - expected).abs() < 1e-12, "{gravity}");
+        let error = gravity[1].abs() - 9.8 * lever_elbow;
+        assert!(error.abs() < 1e-12, "{gravity}");
+        assert!(import.begins("the arm ends at link 'fore'"));
+    }
+
+    #[test]
+    fn an_mjcf_without_a_unit_of_angles_has_that_of_its_ranges() {
+        let read = imported;
+        let noted =
+            |import: &Import| import.begins("no <compiler angle>: angles are taken as radians");
+        let bare = MJCF.replace("angle=\"degree\" ", "");
+        // ±90 are degrees, ±1.5 of a part of a file are not, unless it says so.
+        let degrees = read(&bare);
+        let position = |import: &Import| import.robot.joints[0].limits.position;
+        assert_eq!(position(&degrees), (-FRAC_PI_2, FRAC_PI_2));
+        let radians = read(&bare.replace("-90 90", "-1.5 1.5"));
+        assert_eq!(position(&radians), (-1.5, 1.5));
+        assert_eq!([noted(&degrees), noted(&radians)], [false, true]);
+        // A rounded turn.
+        assert!(noted(&read(&bare.replace("-90 90", "-6.28319 6.28319"))));
+        let named = read(&MJCF.replace("-90 90", "-1.5 1.5"));
+        let end = 1.5_f64.to_radians();
+        assert_eq!(position(&named), (-end, end));
+        assert!(!noted(&named));
+    }
+
+    #[test]
+    fn right_angles_in_a_quaternion_of_decimals_are_right_angles() {
+        // About x by a right angle, then about y by 0.5 rad: the axes are at a right angle, although no entry of the rest is 0 or 1.
+        let cosine_of_axes = |quat: &str| {
+            let body = "<inertial pos=\"0 0 0.1\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/>";
+            let arm = format!(
+                r#"<mujoco><worldbody><body><joint range="-1 1"/>{body}
+                <body quat="{quat}"><joint range="-1 1"/>{body}</body></body></worldbody></mujoco>"#
+            );
+            whole(&arm).joints[1].placement.rot_parent_child.m33
+        };
+        let rounded = cosine_of_axes("0.685124 0.685126 0.174941 -0.174941");
+        assert_eq!(rounded, 0.0);
+        let other = cosine_of_axes("0.685124 0.6853 0.174941 -0.174941");
+        assert!(other.abs() > 1e-5, "{other}");
+    }
+
+    #[test]
+    fn parts_of_an_mjcf_that_change_the_dynamics_are_refused_by_name() {
+        // Text of the file ; its replacement ; part of the message
+        let cases = r#"
+            <worldbody> ; <worldbody><replicate count="2"/> ; line 7: <replicate> cannot be read
+            eulerseq ; inertiafromgeom="true" eulerseq ; inertiafromgeom="true" cannot be read
+            ref="10" ; axis="0 0" ; axis
+            mass="2" ; mass="two" ; mass="two" is not a number
+            euler="90 0 0" ; euler="90 0" ; 'euler'
+            <worldbody> ; <include file="no.xml"/><worldbody> ; file="no.xml"
+            name="turn" ; name="slide" ; the name 'slide' is used twice"#;
+        for case in cases.trim().lines() {
+            let [good, bad, named] = case.split(';').map(str::trim).collect::<Vec<_>>()[..] else {
+                panic!("three columns: {case}");
+            };
+            assert!(MJCF.contains(good), "{good}");
+            let error =
+                parse("t", &MJCF.replacen(good, bad, 1), &Selection::default()).unwrap_err();
+            assert!(error.to_string().contains(named), "{error}");
+            assert_eq!(error.to_string().lines().count(), 1);
+        }
     }
 }

@@ -71,9 +71,8 @@ pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import
         if selection.base.is_some() {
             // A part of a robot hangs on a link of another file.
             let links: HashSet<String> = document.links.iter().map(|l| l.name.clone()).collect();
-            document
-                .joints
-                .retain(|joint| links.contains(&joint.parent));
+            let joints = &mut document.joints;
+            joints.retain(|joint| links.contains(&joint.parent));
         }
         document
     });
@@ -86,10 +85,8 @@ pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import
 fn read(file: &str, text: &str) -> Result<document::Document, String> {
     // Common URDF parsers accept blank lines before the XML declaration.
     let text = document::with_prefixes(text.trim_start());
-    if document::parsed(&text)?
-        .root_element()
-        .has_tag_name("mujoco")
-    {
+    let xml = document::parsed(&text)?;
+    if xml.root_element().has_tag_name("mujoco") {
         return mjcf::read(Path::new(file), text);
     }
     document::read(&text)

@@ -32,8 +32,8 @@ impl<'a> Tree<'a> {
             let named_by = format!("joint '{}'", joint.name);
             let child = tree.link(&joint.child);
             let parent = tree.link(&joint.parent).ok_or_else(|| {
-                let mend =
-                    child.map(|_| format!(" (--base '{}' begins the arm behind it)", joint.child));
+                let name = &joint.child;
+                let mend = child.map(|_| format!(" (--base '{name}' begins the arm behind it)"));
                 unknown_link(&joint.parent, &named_by, &mend.unwrap_or_default())
             })?;
             let child = child.ok_or_else(|| unknown_link(&joint.child, &named_by, ""))?;
@@ -190,15 +190,10 @@ impl<'a> Tree<'a> {
         loop {
             let body = self.rigid_body(end, Placement::identity(), None);
             let moving: Vec<usize> = self.moving_joints(&body).collect();
-            let mut on: Vec<usize> = moving
-                .iter()
-                .copied()
-                .filter(|&j| self.reach(j) > 0)
-                .collect();
-            if moving.len() > 1 {
-                on.retain(|&joint| self.reach(joint) > 1);
-            }
-            on.retain(|&joint| end == base || !self.is_finger(joint, moving.len() > 1));
+            let fork = moving.len() > 1;
+            let mut on = moving.clone();
+            on.retain(|&joint| self.reach(joint) > usize::from(fork));
+            on.retain(|&joint| end == base || !self.is_finger(joint, fork));
             match on[..] {
                 // Nothing but a joint that no arm can have: its refusal names it.
                 [] if end == base && moving.len() == 1 => end = self.child[moving[0]],
@@ -237,10 +232,8 @@ impl<'a> Tree<'a> {
             if Some(link) == end {
                 continue;
             }
-            for &joint in self.carried[link]
-                .iter()
-                .filter(|&&joint| self.is_fixed(joint))
-            {
+            let carried = self.carried[link].iter();
+            for &joint in carried.filter(|&&joint| self.is_fixed(joint)) {
                 let origin = &self.document.joints[joint].origin;
                 body.push((self.child[joint], frame.then(origin)));
             }
@@ -264,8 +257,7 @@ impl<'a> Tree<'a> {
         notes: &mut Vec<String>,
     ) -> Result<Link, String> {
         let moved = self.child[joint];
-        let not_a_body =
-            |link: usize, reason: String| format!("link '{}': {reason}", self.name(link));
+        let of_link = |link: usize, text: String| format!("link '{}': {text}", self.name(link));
         let inertia_reason = |link: &Link| {
             let problem = Link::inertia_problem(&link.inertia_com)?;
             Some(format!(
@@ -274,26 +266,19 @@ impl<'a> Tree<'a> {
         };
         let mut parts = Vec::new();
         for (link, frame) in self.rigid_body(moved, *frame, end) {
-            let element = &self.document.links[link];
-            let Some(part) = &element.inertial else {
+            let Some(mut part) = self.document.links[link].inertial else {
                 continue;
             };
-            let mut part = *part;
             // A sensor bolted on may be given as a point of mass; the body as a whole may not.
             let is_point = link != moved && part.inertia_com == Matrix3::zeros();
             if selection.repair && part.mass == 0.0 {
-                notes.push(format!(
-                    "link '{}': inertia without mass is left out",
-                    self.name(link)
-                ));
+                notes.push(of_link(link, "inertia without mass is left out".to_owned()));
                 continue;
             }
             if selection.repair && part.mass > 0.0 && !is_point && inertia_reason(&part).is_some() {
                 let (repaired, change) = part.repaired();
-                notes.push(format!(
-                    "link '{}': inertia moved to the nearest of a body, by {change:.2e} kg·m²",
-                    self.name(link)
-                ));
+                let repair = "inertia moved to the nearest of a body, by";
+                notes.push(of_link(link, format!("{repair} {change:.2e} kg·m²")));
                 part = repaired;
             }
             let reason = if part.mass == 0.0 {
@@ -306,7 +291,7 @@ impl<'a> Tree<'a> {
                 inertia_reason(&part)
             };
             if let Some(reason) = reason {
-                return Err(not_a_body(link, reason));
+                return Err(of_link(link, reason));
             }
             parts.push(part.placed(&frame));
         }
@@ -315,10 +300,8 @@ impl<'a> Tree<'a> {
             let end = next.map_or(Vector3::new(0.0, 0.0, 0.1), |&joint| {
                 self.document.joints[joint].origin.origin
             });
-            notes.push(format!(
-                "link '{}': no inertial data, a rod of {mass} kg is taken",
-                self.name(moved)
-            ));
+            let rod = format!("no inertial data, a rod of {mass} kg is taken");
+            notes.push(of_link(moved, rod));
             parts.push(Link::rod(mass, &end).placed(frame));
         }
         let body = Link::lumped(&parts).ok_or_else(|| {
@@ -328,23 +311,20 @@ impl<'a> Tree<'a> {
             )
         })?;
         match inertia_reason(&body) {
-            Some(reason) => Err(not_a_body(moved, reason)),
+            Some(reason) => Err(of_link(moved, reason)),
             None => Ok(body),
         }
     }
 
     /// Description of the parts that do not belong to the arm.
     pub(super) fn left_out(&self, base: usize, path: &[usize], end: Option<usize>) -> Vec<String> {
-        let moved = path
-            .iter()
-            .filter(|&&joint| !self.is_fixed(joint))
-            .map(|&joint| self.child[joint]);
+        let moved = path.iter().filter(|&&joint| !self.is_fixed(joint));
+        let moved = moved.map(|&joint| self.child[joint]);
         let mut notes = Vec::new();
         for link in std::iter::once(base).chain(moved) {
             let body = self.rigid_body(link, Placement::identity(), end);
-            let beside = self
-                .moving_joints(&body)
-                .filter(|joint| !path.contains(joint));
+            let beside = self.moving_joints(&body);
+            let beside = beside.filter(|joint| !path.contains(joint));
             let on_end = body.iter().filter(|(link, _)| Some(*link) == end);
             let on_end = on_end.flat_map(|&(link, _)| self.carried[link].iter().copied());
             let on_end = on_end.filter(|&joint| self.is_fixed(joint));

@@ -62,6 +62,7 @@ pub fn write(robot: &Robot) -> String {
         let (limits, friction) = (&part.joint.limits, &part.joint.friction);
         let [name, parent] = &part.names;
         let [xx, yy, zz, xy, xz, yz] = tensor(&part.link);
+        let (lower, upper) = limits.position;
         out += &format!(
             r#"  <joint name="{joint}" type="revolute">
     <parent link="{parent}"/> <child link="{name}"/> <axis xyz="{axis}"/>
@@ -77,8 +78,6 @@ pub fn write(robot: &Robot) -> String {
             joint = escaped(&part.joint.name),
             axis = list(&part.axis),
             origin = origin(&part.placement),
-            lower = limits.position.0,
-            upper = limits.position.1,
             velocity = limits.velocity,
             torque = limits.torque,
             acceleration = limits.acceleration,
@@ -140,9 +139,8 @@ pub fn mjcf(robot: &Robot) -> String {
             viscous = part.joint.friction.viscous,
             coulomb = part.joint.friction.coulomb,
         );
-        motors += &format!(
-            "    <motor name=\"{joint}\" joint=\"{joint}\" ctrlrange=\"-{torque} {torque}\"/>\n"
-        );
+        let range = format!("ctrlrange=\"-{torque} {torque}\"");
+        motors += &format!("    <motor name=\"{joint}\" joint=\"{joint}\" {range}/>\n");
     }
     if let Some((tip, placed)) = tip {
         out += &format!("  <body name=\"{tip}\" {}/>\n", place(&placed));
@@ -170,6 +168,7 @@ pub fn sdf(robot: &Robot) -> String {
         let (limits, friction) = (&part.joint.limits, &part.joint.friction);
         let [name, parent] = &part.names;
         let [xx, yy, zz, xy, xz, yz] = tensor(&part.link);
+        let (lower, upper) = limits.position;
         out += &format!(
             r#"  <joint name="{joint}" type="revolute"><pose relative_to="{around}">{pose}</pose>
     <parent>{parent}</parent><child>{name}</child>
@@ -185,8 +184,6 @@ pub fn sdf(robot: &Robot) -> String {
             around = if parent == WORLD { "__model__" } else { parent },
             pose = pose(&part.placement),
             axis = list(&part.axis),
-            lower = limits.position.0,
-            upper = limits.position.1,
             torque = limits.torque,
             velocity = limits.velocity,
             viscous = friction.viscous,
@@ -219,9 +216,8 @@ fn tensor(link: &Link) -> [String; 6] {
     let i = &link.inertia_com;
     // Entries that only rounding has made are none.
     let least = 1e-15 * i.amax();
-    [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23]
-        .map(|x| if x.abs() < least { 0.0 } else { x })
-        .map(number)
+    let entries = [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23];
+    entries.map(|x| number(if x.abs() < least { 0.0 } else { x }))
 }
 
 fn list(vector: &Vector3<f64>) -> String {
@@ -242,4 +238,101 @@ fn escaped(name: &str) -> String {
     name.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamics::{Joints, ReferenceModel, RigidBodies, State};
+    use crate::urdf::tests::{ARM, to_hand, whole};
+
+    #[test]
+    fn a_written_arm_is_the_arm_again_with_the_names_of_its_links() {
+        let arm = to_hand(ARM);
+        let motions = crate::dynamics::random_motions(2, 20);
+        let torques = |robot: &Robot| -> Vec<Joints<2>> {
+            let model = RigidBodies::new(robot);
+            let torque = |motion| model.inverse_dynamics(motion).into();
+            motions.iter().map(torque).collect()
+        };
+        let mut bare = arm.clone();
+        for text in [write(&arm), mjcf(&arm)] {
+            let again = whole(&text);
+            for (here, there) in torques(&arm).iter().zip(torques(&again)) {
+                assert!((here - there).amax() < 1e-12, "{text}");
+            }
+            for link in ["upper", "fore", "hand"] {
+                assert!(text.contains(&format!("name=\"{link}\"")), "{link}: {text}");
+            }
+            assert_eq!(again.joints[1].friction, arm.joints[1].friction);
+            assert!(text.contains("\"0 1 0\""), "the axis of the file: {text}");
+        }
+        // An armature is where a URDF has no place for it.
+        bare.joints[0].drive.rotor_inertia = 0.5;
+        let again = whole(&mjcf(&bare));
+        assert_eq!(again.joints[0].drive.rotor_inertia, 0.5);
+        assert!(sdf(&bare).contains("<drake:rotor_inertia>0.5</drake:rotor_inertia>"));
+    }
+
+    /// Torques of the written models by the tools that read them against ours; see `tests/data/written/README.md`.
+    #[test]
+    fn mujoco_and_pinocchio_compute_our_torques_from_the_written_models() {
+        const TOLERANCE_NM: f64 = 1e-6;
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+        for (name, description) in [
+            ("ur5", "ur5".to_owned()),
+            ("gen3", format!("{root}/host-sim/robots/gen3.toml")),
+            (
+                "oblique",
+                format!("{root}/tests/data/pinocchio/arms/oblique.urdf"),
+            ),
+            ("eight", format!("{root}/host-sim/robots/eight.toml")),
+        ] {
+            let robot = Robot::load(&description).unwrap().with_assumed_rotors().0;
+            for (ending, text) in [
+                ("xml", mjcf(&robot)),
+                ("urdf", write(&robot)),
+                ("sdf", sdf(&robot)),
+            ] {
+                let file = format!("{root}/tests/data/written/{name}.{ending}");
+                let written = std::fs::read_to_string(&file).unwrap();
+                assert!(written == text, "{file} is stale: see the README beside it");
+            }
+            crate::joints!(robot.joint_count(), N => torques_agree::<N>(name, &robot, TOLERANCE_NM), else panic!("{name}"));
+        }
+    }
+
+    fn torques_agree<const N: usize>(name: &str, robot: &Robot, tolerance_nm: f64) {
+        let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/written");
+        let file = std::fs::File::open(format!("{root}/{name}.csv.gz")).unwrap();
+        let mut reader = csv::Reader::from_reader(flate2::read::GzDecoder::new(file));
+        let model = ReferenceModel::<N>::new(robot).unwrap();
+        let mut bare = robot.clone();
+        for joint in &mut bare.joints {
+            joint.drive.rotor_inertia = 0.0;
+        }
+        let bare = ReferenceModel::<N>::new(&bare).unwrap();
+        let damping = Joints::<N>::from_fn(|j, _| robot.joints[j].friction.viscous);
+        let (mut rows, mut worst) = (0, [0.0_f64; 4]);
+        for row in reader.deserialize() {
+            let row: Vec<f64> = row.unwrap();
+            let [q, qd, qdd, by_mujoco, by_mjcf, by_urdf, by_sdf] =
+                std::array::from_fn(|k| Joints::<N>::from_fn(|j, _| row[k * N + j]));
+            let state = State { q, qd, qdd };
+            let ours = model.inverse_dynamics(&state);
+            let errors = [
+                ours + damping.component_mul(&qd) - by_mujoco,
+                ours - by_mjcf,
+                bare.inverse_dynamics(&state) - by_urdf,
+                ours - by_sdf,
+            ];
+            for (worst, error) in worst.iter_mut().zip(errors) {
+                assert!(error.amax() <= tolerance_nm, "{name}: {error}");
+                *worst = worst.max(error.amax());
+            }
+            rows += 1;
+        }
+        println!("{name}: off by {worst:?} N·m (MuJoCo, Pinocchio on MJCF and URDF, Drake on SDF)");
+        assert_eq!(rows, 200);
+    }
 }

@@ -1,8 +1,8 @@
 //! The page of the main job.
 
-use super::N;
 use super::long_run::WATCH_POINTS;
-use super::record::{DemoCurves, DemoReport, LearningPoint};
+use super::{DemoCurves, DemoReport, LearningPoint, N};
+use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::excitation::page::{legend, panels};
 use foretorque_workbench::metrics::MOVING_RAD_S;
@@ -14,12 +14,12 @@ const BEFORE: PlotColor = PlotColor::Before;
 const AFTER: PlotColor = PlotColor::After;
 
 pub(super) fn page(report: &DemoReport, curves: &DemoCurves, excitation: &Excitation) -> Page {
-    let robot = report.robot.to_uppercase();
+    let (robot, learning_s) = (report.robot.to_uppercase(), report.learning_s());
+    let error = &report.tracking_rms_mrad;
     let lead = format!(
-        "A {robot} whose model is wrong about its masses, inertias and friction moves for {:.0} s; the firmware learns the \
+        "A {robot} whose model is wrong about its masses, inertias and friction moves for {learning_s:.0} s; the firmware learns the \
          difference tick by tick, is frozen, and then meets a path it has never seen. Arm and noise are simulated, the \
-         torque comes from the firmware's own code.",
-        report.learning_s()
+         torque comes from the firmware's own code."
     );
     let mut page = Page::new(format!("foretorque: {robot} learns its torque"), lead)
         .card(
@@ -27,27 +27,18 @@ pub(super) fn page(report: &DemoReport, curves: &DemoCurves, excitation: &Excita
             "torque error on the unseen path, before → after learning (NRMSE, all samples)",
         )
         .card(
-            format!(
-                "{:.2} → {:.2} mrad",
-                report.tracking_rms_mrad.pd_only, report.tracking_rms_mrad.after
-            ),
+            format!("{:.2} → {:.2} mrad", error.pd_only, error.after),
             "tracking error, mean of the joints' RMS, PD alone → with learnt feed-forward",
         )
-        .card(
-            format!("{:.0} s", report.learning_s()),
-            "of arm time with learning on",
-        );
-    if report.tick_instructions.max > 0 {
-        page = page.card(
-            report.tick_instructions.max,
-            "instructions in the longest tick (emulator, not cycles of silicon)",
-        );
+        .card(format!("{learning_s:.0} s"), "of arm time with learning on");
+    let longest = report.tick_instructions.max;
+    if longest > 0 {
+        let label = "instructions in the longest tick (emulator, not cycles of silicon)";
+        page = page.card(longest, label);
     }
     if let Some(usart) = &report.usart {
-        page = page.card(
-            format!("{} of {}", usart.ticks_with_equal_bits, usart.ticks),
-            "replies of the flashable firmware with equal bits",
-        );
+        let equal = format!("{} of {}", usart.ticks_with_equal_bits, usart.ticks);
+        page = page.card(equal, "replies of the flashable firmware with equal bits");
     }
     page.sections([
         predicted(report, curves),
@@ -88,12 +79,8 @@ fn predicted(report: &DemoReport, curves: &DemoCurves) -> Section {
         ]
     });
     let rmse = &report.torque_rmse_nm;
-    let ratios: Vec<f64> = rmse
-        .after
-        .iter()
-        .zip(&rmse.before)
-        .map(|(a, b)| a / b)
-        .collect();
+    let pairs = rmse.after.iter().zip(&rmse.before);
+    let ratios: Vec<f64> = pairs.map(|(a, b)| a / b).collect();
     Section::new(
         "Predicted and true torque on the unseen path",
         format!(
@@ -147,25 +134,23 @@ fn halved_after(points: &[LearningPoint]) -> String {
     let Some(first) = points.first() else {
         return "no time".to_owned();
     };
-    points
-        .iter()
-        .find(|point| point.torque_nrmse <= 0.5 * first.torque_nrmse)
-        .map_or("more than the whole time".to_owned(), |point| {
-            format!("{:.0} s", point.t_s)
-        })
+    let halved = |point: &&LearningPoint| point.torque_nrmse <= 0.5 * first.torque_nrmse;
+    match points.iter().find(halved) {
+        Some(point) => format!("{:.0} s", point.t_s),
+        None => "more than the whole time".to_owned(),
+    }
 }
 
 fn tracking(report: &DemoReport, curves: &DemoCurves) -> Section {
     let kinds = &curves.tracking;
     let panels = Panel::of_joints(N, "error / mrad", |j| {
-        let kinds = [
-            (TRUTH, &kinds.pd_only),
-            (BEFORE, &kinds.before),
-            (AFTER, &kinds.after),
-        ];
-        kinds
-            .map(|(color, points)| Curve::new(color, points, |(t_s, e)| (*t_s, e[j])))
-            .into()
+        let curve =
+            |color, points: &[(f64, Joints<N>)]| Curve::new(color, points, |(t_s, e)| (*t_s, e[j]));
+        vec![
+            curve(TRUTH, &kinds.pd_only),
+            curve(BEFORE, &kinds.before),
+            curve(AFTER, &kinds.after),
+        ]
     });
     let (mean, joints) = (&report.tracking_rms_mrad, &report.tracking_rms_joint_mrad);
     Section::new(
@@ -227,14 +212,13 @@ fn cost(report: &DemoReport) -> Section {
             report.learning_instructions,
         ),
     ];
-    let usart = report.usart.as_ref();
-    rows.extend(usart.map(|usart| {
+    if let Some(usart) = &report.usart {
         let name = "tick, flashable firmware over its USART";
-        (name, usart.tick_instructions)
-    }));
-    let rows = rows
-        .into_iter()
-        .map(|(name, cost)| [name.to_owned(), cost.mean.to_string(), cost.max.to_string()]);
+        rows.push((name, usart.tick_instructions));
+    }
+    let rows = rows.into_iter();
+    let rows =
+        rows.map(|(name, cost)| [name.to_owned(), cost.mean.to_string(), cost.max.to_string()]);
     let caption = if report.tick_instructions.max > 0 {
         "Instructions between a complete request and its reply, and those of learning behind it, counted by a timer of the emulated \
          board. They are instructions and not cycles: the emulator models neither wait states nor the pipeline, and nothing here \
@@ -263,13 +247,17 @@ fn link(report: &DemoReport) -> Section {
             usart.ticks
         );
     }
-    let rows = rows
-        .into_iter()
-        .map(|(name, link)| [name, link.frames.to_string(), link.errors.to_string()]);
+    let rows = rows.into_iter();
+    let rows = rows.map(|(name, link)| [name, link.frames.to_string(), link.errors.to_string()]);
     Section::new("Link", caption).table("link | frames | errors", rows)
 }
 
 fn this_run(report: &DemoReport) -> Section {
+    let (before, after) = (
+        report.torque_nrmse_moving_before,
+        report.torque_nrmse_moving_after,
+    );
+    let moving = from_to(before, after);
     let rows = [
         ("robot", report.robot.clone()),
         ("board", report.board.clone()),
@@ -281,19 +269,11 @@ fn this_run(report: &DemoReport) -> Section {
             "torque NRMSE, all samples",
             from_to(report.torque_nrmse_before, report.torque_nrmse_after),
         ),
-        (
-            "torque NRMSE, moving samples only",
-            from_to(
-                report.torque_nrmse_moving_before,
-                report.torque_nrmse_moving_after,
-            ),
-        ),
+        ("torque NRMSE, moving samples only", moving),
     ];
     let usart = report.usart.as_ref().map_or(String::new(), |usart| {
-        format!(
-            " --usart-learning-s {}",
-            usart.ticks as f64 * report.period_s
-        )
+        let learning_s = usart.ticks as f64 * report.period_s;
+        format!(" --usart-learning-s {learning_s}")
     });
     Section::new(
         "This run",

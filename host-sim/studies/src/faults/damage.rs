@@ -9,7 +9,7 @@ const EARLY: u32 = 20;
 
 /// One way of spoiling a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Damage {
+pub(super) enum Damage {
     /// One to eight bits of the frame are turned.
     Flips,
     /// The frame ends early, with or without its delimiter.
@@ -28,7 +28,8 @@ pub enum Damage {
     Silence,
 }
 
-const NAMES: [(Damage, &str); 8] = [
+/// All of them, with their names in a report.
+pub(super) const DAMAGES: [(Damage, &str); 8] = [
     (Damage::Flips, "bit flips"),
     (Damage::Truncation, "truncated frames"),
     (Damage::Duplication, "duplicated frames"),
@@ -40,17 +41,6 @@ const NAMES: [(Damage, &str); 8] = [
 ];
 
 impl Damage {
-    /// All of them.
-    pub fn all() -> impl Iterator<Item = Self> {
-        NAMES.iter().map(|(kind, _)| *kind)
-    }
-
-    /// Name in a report.
-    pub fn name(self) -> &'static str {
-        let known = NAMES.iter().find(|(kind, _)| *kind == self);
-        known.map_or("", |(_, name)| name)
-    }
-
     /// One frame in how many is hit, where the damage is to frames and not to bytes.
     const fn seldom(self) -> u32 {
         match self {

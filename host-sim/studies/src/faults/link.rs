@@ -4,6 +4,7 @@
 use super::Campaign;
 use super::damage::{BadLine, Damage};
 use super::rig::{Frame, Rig, Round};
+use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque_link::safety::SafetyState;
@@ -49,7 +50,6 @@ impl Host {
         Ok(host)
     }
 
-    /// Frames to send in the next tick.
     fn frames(&mut self) -> Vec<Frame> {
         let mut messages = vec![self.message(&self.sample())];
         messages.extend(order(self.tick, self.rig.state));
@@ -82,7 +82,6 @@ impl Host {
         Ok(self.rig.state == SafetyState::Armed)
     }
 
-    /// Ends the torque.
     pub(super) fn rest(&mut self) -> Result<(), BoardError> {
         self.rig.ask(&HostMessage::Disarm)?;
         while matches!(self.rig.state, SafetyState::Armed | SafetyState::RampDown) {
@@ -139,7 +138,7 @@ fn on_line(
     ticks: u32,
     shows: bool,
     mut line: impl FnMut(&mut Host, Vec<Frame>) -> (Vec<u8>, u64),
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new(name, &transport.name());
     let mut host = Host::new(transport, true)?;
     for _ in 0..ticks {
@@ -160,14 +159,14 @@ fn bytes_of(frames: Vec<Frame>) -> Vec<u8> {
 }
 
 /// Samples over a line that does `damage`.
-pub fn damaged_line(
+pub(super) fn damaged_line(
     transport: Box<dyn Transport>,
-    damage: Damage,
+    (damage, name): (Damage, &str),
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut line = BadLine::new(damage, ChaCha8Rng::seed_from_u64(seed));
-    on_line(damage.name(), transport, ticks, true, |_, frames| {
+    on_line(name, transport, ticks, true, |_, frames| {
         let before = line.injected;
         let carried = frames.iter().flat_map(|frame| line.carry(&frame.bytes));
         let bytes = carried.collect();
@@ -176,11 +175,11 @@ pub fn damaged_line(
 }
 
 /// Samples and motions with numbers that are none, are infinite, or are too small to be normal.
-pub fn strange_numbers(
+pub(super) fn strange_numbers(
     transport: Box<dyn Transport>,
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let name = "NaN, infinite and denormal numbers";
     on_line(name, transport, ticks, false, |host, frames| {
@@ -225,19 +224,18 @@ fn spoil(sample: &mut JointSample<JOINTS>, random: &mut ChaCha8Rng) {
 }
 
 /// Sound frames of other protocol versions, of another number of joints, and with unknown messages.
-pub fn foreign_frames(
+pub(super) fn foreign_frames(
     transport: Box<dyn Transport>,
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
+) -> Result<Campaign, StudyError> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let name = "frames of another version or robot";
     on_line(name, transport, ticks, true, |_, frames| {
         let injected = random.random_ratio(1, 4);
-        let first = if injected {
-            foreign(&mut random)
-        } else {
-            Vec::new()
+        let first = match injected {
+            true => foreign(&mut random),
+            false => Vec::new(),
         };
         ([first, bytes_of(frames)].concat(), u64::from(injected))
     })

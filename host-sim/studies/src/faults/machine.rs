@@ -110,7 +110,7 @@ impl Trial {
 }
 
 /// `times` failures in a row of one firmware. A torque is wrong when the enable pin is not off before the restart.
-pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> io::Result<Campaign> {
+pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new(crash.name, "qemu (faults)");
     let mut trial = Trial::start(trace)?;
     trial.hello()?;
@@ -131,36 +131,24 @@ pub fn crashes(crash: Crash, times: u32, trace: PathBuf) -> io::Result<Campaign>
 /// Periods without food after which the watchdog bites.
 const HUNGER: u32 = 100;
 
-/// Counts down, and is fed.
-struct SimulatedWatchdog {
-    left: u32,
-}
-
-impl SimulatedWatchdog {
-    /// One period goes by. True when it bites.
-    fn period(&mut self, fed: bool) -> bool {
-        self.left = if fed { HUNGER } else { self.left - 1 };
-        self.left == 0
-    }
-}
-
 /// `times` lives of a board in which one task, any of them, stops answering at some moment. The watchdog must bite, the
 /// board must come back disarmed with the reason, refuse to be armed until that was taken note of, and then work.
-pub fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
+pub(super) fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("watchdog bite", "native");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     for _ in 0..times {
         let silent = Task::ALL[random.random_range(0..Task::ALL.len())];
         let end = random.random_range(0..1000);
         let tasks = TaskCheckIn::new();
-        let mut watchdog = SimulatedWatchdog { left: HUNGER };
+        let mut left = HUNGER;
         let bite = (0..end + 2 * HUNGER).find(|&period| {
             for task in Task::ALL {
                 if task != silent || period < end {
                     tasks.check_in(task);
                 }
             }
-            watchdog.period(tasks.complete())
+            left = if tasks.complete() { HUNGER } else { left - 1 };
+            left == 0
         });
         campaign.injected += 1;
         // Not before the task stopped, and at once when the hunger is over.

@@ -4,7 +4,6 @@
 //! board under test accepted. A set is *lost* when, after the fault, neither the newest set that was stored nor the one under
 //! way can be loaded.
 
-mod campaigns;
 mod damage;
 mod link;
 pub mod machine;
@@ -13,16 +12,22 @@ pub mod store;
 mod timed;
 mod uploads;
 
-pub use campaigns::{Lengths, Scenario, scenarios};
-pub use damage::Damage;
-pub use link::{damaged_line, foreign_frames, strange_numbers};
-pub use machine::watchdog_bites;
-pub use timed::{TimedFault, timed};
-pub use uploads::{BadUpload, bad_uploads};
-
+use crate::StudyError;
+use damage::{DAMAGES, Damage};
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque_link::store::slots;
+use foretorque_link::wire::Pacing;
+use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
+use foretorque_workbench::board::{Native, Transport};
 use foretorque_workbench::snapshot::aligned;
+use link::{damaged_line, foreign_frames, strange_numbers};
+use machine::{Crash, crashes, watchdog_bites};
 use rig::Round;
 use serde::Serialize;
+use std::path::Path;
+use store::{SECTOR, SMALL_SECTOR};
+use timed::{timed, timed_faults};
+use uploads::{BAD_UPLOADS, bad_uploads};
 
 /// Counts of one kind of fault.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -95,43 +100,230 @@ impl Campaign {
     }
 }
 
-fn cells(campaign: &Campaign) -> [String; 12] {
-    let count = |count: u64| count.to_string();
-    [
-        campaign.name.clone(),
-        campaign.board.clone(),
-        count(campaign.injected),
-        count(campaign.torques),
-        count(campaign.wrong_torques),
-        count(campaign.lost_sets),
-        count(campaign.recovered),
-        count(campaign.unnoticed),
-        count(campaign.without_permission),
-        count(campaign.rearmed),
-        count(campaign.timeouts),
-        count(campaign.mistimed),
-    ]
-}
+type Count = fn(&Campaign) -> u64;
+
+/// Counts of a campaign by their names in a report.
+const COUNTS: [(&str, Count); 10] = [
+    ("injected", |own| own.injected),
+    ("torques compared", |own| own.torques),
+    ("wrong", |own| own.wrong_torques),
+    ("lost sets", |own| own.lost_sets),
+    ("recovered", |own| own.recovered),
+    ("unseen", |own| own.unnoticed),
+    ("without permission", |own| own.without_permission),
+    ("re-armed", |own| own.rearmed),
+    ("time-outs", |own| own.timeouts),
+    ("mistimed", |own| own.mistimed),
+];
 
 /// The counts of all campaigns.
 pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
-    let sum = |count: fn(&Campaign) -> u64| campaigns.iter().map(count).sum::<u64>();
-    let header = "fault | board | injected | torques compared | wrong | lost sets | recovered | unseen | without permission | re-armed | time-outs | mistimed";
+    let sums = COUNTS.map(|(_, count)| campaigns.iter().map(count).sum::<u64>());
+    let [
+        injected,
+        torques,
+        wrong,
+        lost,
+        recovered,
+        unseen,
+        permission,
+        rearmed,
+        timeouts,
+        mistimed,
+    ] = sums;
+    let (number, not_recovered) = (campaigns.len(), injected - recovered);
+    let header = COUNTS.map(|(name, _)| name).join(" | ");
+    let rows = campaigns.iter().map(|own| {
+        let counts = COUNTS.map(|(_, count)| count(own).to_string());
+        [own.name.clone(), own.board.clone()]
+            .into_iter()
+            .chain(counts)
+    });
     format!(
         "cargo xtask faults, seed {seed}\n\n\
-         {} campaigns, {} faults, {} torques compared: {} wrong, {} sets lost, {} not recovered, {} unseen, \
-         {} torques without permission, {} re-arms unasked, {} of {} time-outs more than a period off.\n\n{}",
-        campaigns.len(),
-        sum(|campaign| campaign.injected),
-        sum(|campaign| campaign.torques),
-        sum(|campaign| campaign.wrong_torques),
-        sum(|campaign| campaign.lost_sets),
-        sum(|campaign| campaign.injected - campaign.recovered),
-        sum(|campaign| campaign.unnoticed),
-        sum(|campaign| campaign.without_permission),
-        sum(|campaign| campaign.rearmed),
-        sum(|campaign| campaign.mistimed),
-        sum(|campaign| campaign.timeouts),
-        aligned(header, campaigns.iter().map(cells))
+         {number} campaigns, {injected} faults, {torques} torques compared: {wrong} wrong, {lost} sets lost, \
+         {not_recovered} not recovered, {unseen} unseen, {permission} torques without permission, {rearmed} re-arms \
+         unasked, {mistimed} of {timeouts} time-outs more than a period off.\n\n{}",
+        aligned(&format!("fault | board | {header}"), rows)
     )
+}
+
+const TICKS_PER_S: u32 = 1000;
+
+/// How much of everything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lengths {
+    /// Arm time of each kind of damage on the board in this process, s.
+    pub native_s: u32,
+    /// Arm time of 0.01 % byte errors on the bulk firmware in the emulator, s; of every other kind a tenth.
+    pub bulk_s: u32,
+    /// Samples of each kind of damage on the flashable firmware over its USART.
+    pub usart_ticks: u32,
+    /// Uploads of each kind that fail; crashes of each kind are a twentieth.
+    pub times: u32,
+    /// Saves in a life of power cuts.
+    pub saves: u32,
+}
+
+impl Lengths {
+    /// The whole campaign: ten minutes of arm time with byte errors.
+    pub const FULL: Self = Self {
+        native_s: 60,
+        bulk_s: 600,
+        usart_ticks: 1000,
+        times: 200,
+        saves: 20_000,
+    };
+    /// Six seconds of each kind, and what the store needs to fill and erase both sectors again and again.
+    pub const SHORT: Self = Self {
+        native_s: 6,
+        bulk_s: 6,
+        usart_ticks: 40,
+        times: 10,
+        saves: 3000,
+    };
+}
+
+/// Where a campaign takes its board from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Board {
+    Native,
+    Bulk,
+    Usart,
+}
+
+impl Board {
+    fn connect(self) -> Result<Box<dyn Transport>, StudyError> {
+        Ok(match self {
+            Self::Native => Box::new(Native::<Ur5, JOINTS, PARAMETERS>::new()?),
+            Self::Bulk => Box::new(Emulator::start(&QemuOptions::new(Image::Bulk))?),
+            Self::Usart => Box::new(Emulator::start(&QemuOptions::new(Image::Joint))?),
+        })
+    }
+}
+
+type Work = Box<dyn Fn() -> Result<Campaign, StudyError> + Send + Sync>;
+
+/// One campaign to be run, on whatever thread.
+pub struct Scenario {
+    /// Name of the broken part, for a progress bar.
+    pub name: &'static str,
+    work: Work,
+}
+
+impl Scenario {
+    fn new(
+        name: &'static str,
+        work: impl Fn() -> Result<Campaign, StudyError> + Send + Sync + 'static,
+    ) -> Self {
+        let work = Box::new(work);
+        Self { name, work }
+    }
+
+    /// Work on a board that is started for it.
+    fn on(
+        board: Board,
+        name: &'static str,
+        work: impl Fn(Box<dyn Transport>) -> Result<Campaign, StudyError> + Send + Sync + 'static,
+    ) -> Self {
+        Self::new(name, move || work(board.connect()?))
+    }
+
+    /// Breaks things.
+    ///
+    /// Errors: a board that cannot be started, or one that is gone for good: that one has not survived.
+    pub fn run(&self) -> Result<Campaign, StudyError> {
+        (self.work)()
+    }
+}
+
+/// All campaigns; `scratch` is a directory for traces of the emulator.
+pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
+    let mut all = Vec::new();
+    for board in [Board::Native, Board::Bulk, Board::Usart] {
+        line(&mut all, board, lengths, seed);
+    }
+    for pacing in [Pacing::Link, Pacing::SysTick] {
+        for fault in timed_faults() {
+            all.push(Scenario::new(fault.0, move || {
+                timed(pacing, fault, lengths.native_s * TICKS_PER_S, seed)
+            }));
+        }
+    }
+    flash(&mut all, lengths, seed);
+    all.push(Scenario::new("watchdog", move || {
+        watchdog_bites(lengths.times, seed)
+    }));
+    for crash in Crash::ALL {
+        let trace = scratch.join(format!("{}.trace", crash.name.replace(' ', "-")));
+        let times = lengths.times.div_ceil(20);
+        all.push(Scenario::new(crash.name, move || {
+            crashes(crash, times, trace.clone())
+        }));
+    }
+    all
+}
+
+fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
+    let ticks = |damage| match (board, damage) {
+        (Board::Native, _) => lengths.native_s * TICKS_PER_S,
+        (Board::Bulk, Damage::Noise) => lengths.bulk_s * TICKS_PER_S,
+        (Board::Bulk, _) => lengths.bulk_s * TICKS_PER_S / 10,
+        (Board::Usart, _) => lengths.usart_ticks,
+    };
+    for damage in DAMAGES {
+        let ticks = ticks(damage.0);
+        all.push(Scenario::on(board, damage.1, move |link| {
+            damaged_line(link, damage, ticks, seed)
+        }));
+    }
+    let few = ticks(Damage::Flips);
+    all.push(Scenario::on(board, "strange numbers", move |link| {
+        strange_numbers(link, few, seed)
+    }));
+    all.push(Scenario::on(board, "foreign frames", move |link| {
+        foreign_frames(link, few, seed)
+    }));
+    let times = match board {
+        Board::Usart => lengths.times.div_ceil(20),
+        _ => lengths.times,
+    };
+    for bad in BAD_UPLOADS {
+        all.push(Scenario::on(board, bad.1, move |link| {
+            bad_uploads(link, bad, times, seed)
+        }));
+    }
+}
+
+fn flash(all: &mut Vec<Scenario>, lengths: Lengths, seed: u64) {
+    let full = slots(SECTOR as u32);
+    // New flash, and both sides of every change of sector.
+    let real = match lengths == Lengths::FULL {
+        true => [0..=1, full - 1..=full + 1, 2 * full - 1..=2 * full + 1].to_vec(),
+        false => vec![full..=full],
+    };
+    let real = real.into_iter().flatten();
+    all.push(Scenario::new("power cuts", move || {
+        store::power_cuts::<SECTOR>(real.clone(), seed)
+    }));
+    all.push(Scenario::new("power cuts, small", move || {
+        let mut campaign = store::power_cuts::<SMALL_SECTOR>(0..=6, seed)?;
+        campaign.name += ", two slots a sector";
+        Ok(campaign)
+    }));
+    all.push(Scenario::new("life of power cuts", move || {
+        Ok(store::power_cut_life::<SMALL_SECTOR>(lengths.saves, seed))
+    }));
+    all.push(Scenario::new("worn flash", move || {
+        Ok(store::worn::<SMALL_SECTOR>(lengths.saves / 10, 4, seed))
+    }));
+    all.push(Scenario::new("protected flash", move || {
+        store::protected::<SMALL_SECTOR>(0..=6, seed)
+    }));
+    all.push(Scenario::new("bit rot", move || {
+        store::bit_rot::<SMALL_SECTOR>(2, seed)
+    }));
+    all.push(Scenario::new("foreign sets", move || {
+        store::foreign_sets::<SMALL_SECTOR>(seed)
+    }));
 }

@@ -9,11 +9,9 @@ use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX
 use foretorque_workbench::board::{BoardError, Native, Transport};
 use std::time::{Duration, Instant};
 
-/// How long an answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Intact frames behind every line, from whose replies the resynchronisation is measured.
 const MARKERS: u32 = 3;
-/// Most bytes that are read at once.
 const BUFFER: usize = 4096;
 
 /// One frame on its way, and what the reference shall make of it.
@@ -168,7 +166,6 @@ impl Rig {
         sent.map_err(|error| BoardError::Closed(self.transport.name(), error))
     }
 
-    /// The messages that have come.
     fn listen(&mut self) -> Result<Vec<(u16, BoardMessage<JOINTS>)>, BoardError> {
         let mut buffer = [0; BUFFER];
         let count = self.transport.receive(&mut buffer, PATIENCE);
@@ -187,13 +184,15 @@ impl Rig {
     /// Compares an answer with the reference's, which gets the frame now. True for a right torque of a fresh sample.
     fn judge(&mut self, sequence: u16, answer: &BoardMessage<JOINTS>) -> Result<bool, BoardError> {
         let torque = match answer {
-            BoardMessage::Torque(torque) => Some((torque.safety, torque.flags)),
-            BoardMessage::FullTorque(full) => Some((full.safety, full.torque.flags)),
+            BoardMessage::Torque(torque) => Some((torque.safety, torque.flags, torque.total)),
+            BoardMessage::FullTorque(full) => {
+                Some((full.safety, full.torque.flags, full.torque.total))
+            }
             _ => None,
         };
-        if let Some((safety, _)) = torque {
+        if let Some((safety, _, total)) = torque {
             (self.torques, self.state) = (self.torques + 1, safety.state);
-            self.wrong_torques += u64::from(!is_finite(answer));
+            self.wrong_torques += u64::from(!total.iter().all(|torque| torque.is_finite()));
         }
         let frame = self.sent[usize::from(sequence)].clone();
         if frame.as_ref().is_some_and(|frame| !frame.referred) {
@@ -209,7 +208,7 @@ impl Rig {
         let right = counts || bytes(sequence, &expected) == bytes(sequence, answer);
         self.wrong_torques += u64::from(!right);
         let fresh = |flags| !Flags(flags).contains(Flags::STALE_SAMPLE);
-        Ok(right && torque.is_some_and(|(_, flags)| fresh(flags)))
+        Ok(right && torque.is_some_and(|(_, flags, _)| fresh(flags)))
     }
 
     /// Answer of the reference to `frame`; `None` when it does not act on it.
@@ -217,10 +216,8 @@ impl Rig {
         let gone = |error| BoardError::Closed("reference".into(), error);
         self.reference.send(&frame.bytes).map_err(gone)?;
         let mut buffer = [0; FrameBuffer::CAPACITY];
-        let count = self
-            .reference
-            .receive(&mut buffer, PATIENCE)
-            .map_err(gone)?;
+        let count = self.reference.receive(&mut buffer, PATIENCE);
+        let count = count.map_err(gone)?;
         let mut answer = None;
         for &byte in buffer.get(..count).unwrap_or_default() {
             if let Some(Ok(received)) = self.received.push(byte)
@@ -240,9 +237,8 @@ fn reference() -> Result<Native<Ur5, JOINTS, PARAMETERS>, ConfigError> {
     Ok(reference)
 }
 
-/// Everything that counts damage.
 fn errors(statistics: &Statistics) -> u64 {
-    [
+    let errors = [
         statistics.crc_errors,
         statistics.framing_errors,
         statistics.foreign_version,
@@ -250,10 +246,8 @@ fn errors(statistics: &Statistics) -> u64 {
         statistics.missed,
         statistics.repeated,
         statistics.implausible,
-    ]
-    .map(u64::from)
-    .iter()
-    .sum()
+    ];
+    errors.map(u64::from).iter().sum()
 }
 
 /// The bytes of a message, with every NaN the same: processors make different ones.
@@ -274,12 +268,4 @@ fn bytes(sequence: u16, message: &BoardMessage<JOINTS>) -> Vec<u8> {
     encode(sequence, &message, &mut buffer)
         .unwrap_or_default()
         .to_vec()
-}
-
-fn is_finite(message: &BoardMessage<JOINTS>) -> bool {
-    match message {
-        BoardMessage::Torque(torque) => torque.total.iter().all(|torque| torque.is_finite()),
-        BoardMessage::FullTorque(full) => full.torque.total.iter().all(|torque| torque.is_finite()),
-        _ => true,
-    }
 }

@@ -1,6 +1,7 @@
 //! Faults of the flash under the store: power cuts, wear, protection, bit rot, foreign sets.
 
 use super::Campaign;
+use crate::StudyError;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque_link::bank::ParameterBank;
@@ -50,10 +51,10 @@ fn with_history<const S: usize>(saves: u32, seed: u64) -> Result<Store<Flash<S>>
 /// Cuts the power in every step of a save in every way, after each number of saves in `histories`.
 ///
 /// A set is lost when neither the one before nor the one under way is loaded. The board is back when it can save again.
-pub fn power_cuts<const S: usize>(
+pub(super) fn power_cuts<const S: usize>(
     histories: impl IntoIterator<Item = u32>,
     seed: u64,
-) -> Result<Campaign, StoreError> {
+) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("power cut in a save", "simulated flash");
     for saves in histories {
         let base: Store<Flash<S>> = with_history(saves, seed)?;
@@ -81,7 +82,7 @@ pub fn power_cuts<const S: usize>(
 
 /// A life of `saves` saves, in every second of which the power goes at a random step in a random way, and often again in
 /// the save that follows.
-pub fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
+pub(super) fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
     let mut campaign = Campaign::new("power cuts through a long life", "simulated flash");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut store = Store::new(Flash::<S>::new(seed));
@@ -92,9 +93,8 @@ pub fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
         if random.random() {
             let steps = (new.len() + HEADER_BYTES).div_ceil(4) as u64 + 1;
             let torn = Torn::SECTOR[random.random_range(0..Torn::SECTOR.len())];
-            store
-                .flash_mut()
-                .cut_after(random.random_range(0..steps), torn);
+            let step = random.random_range(0..steps);
+            store.flash_mut().cut_after(step, torn);
         }
         let acknowledged = store.save(Ur5::HASH, &new).is_ok();
         store.flash_mut().power_on();
@@ -117,7 +117,7 @@ pub fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
 /// Saves on flash that wears out bit by bit, `bits` more before each save, until `saves` are tried.
 ///
 /// A save that the store acknowledges must be there, one that it refuses must have left the one before.
-pub fn worn<const S: usize>(saves: u32, bits: usize, seed: u64) -> Campaign {
+pub(super) fn worn<const S: usize>(saves: u32, bits: usize, seed: u64) -> Campaign {
     let mut campaign = Campaign::new("worn flash", "simulated flash");
     let mut store = Store::new(Flash::<S>::new(seed));
     let mut last = None;
@@ -136,10 +136,10 @@ pub fn worn<const S: usize>(saves: u32, bits: usize, seed: u64) -> Campaign {
 }
 
 /// Saves into flash that refuses, one refusal in each way after each history.
-pub fn protected<const S: usize>(
+pub(super) fn protected<const S: usize>(
     histories: impl IntoIterator<Item = u32>,
     seed: u64,
-) -> Result<Campaign, StoreError> {
+) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("write-protected flash", "simulated flash");
     for saves in histories {
         for protection in [Protection::Silent, Protection::Reported] {
@@ -148,10 +148,9 @@ pub fn protected<const S: usize>(
             let refused = store.save(Ur5::HASH, &set(saves + 1)).is_err();
             let found = load(&mut store);
             let kept = refused
-                && if saves == 0 {
-                    found.is_err()
-                } else {
-                    found == Ok(set(saves))
+                && match saves {
+                    0 => found.is_err(),
+                    _ => found == Ok(set(saves)),
                 };
             store.flash_mut().protect(Protection::None);
             campaign.case(kept, keeps(&mut store, saves + 1));
@@ -161,7 +160,7 @@ pub fn protected<const S: usize>(
 }
 
 /// Turns each bit of the newest record in turn: never may it be loaded, and the set before it must be.
-pub fn bit_rot<const S: usize>(saves: u32, seed: u64) -> Result<Campaign, StoreError> {
+pub(super) fn bit_rot<const S: usize>(saves: u32, seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("bit rot in the newest set", "simulated flash");
     let mut store: Store<Flash<S>> = with_history(saves, seed)?;
     let start = (saves - 1) % (2 * slots(S as u32)) * SLOT_BYTES;
@@ -177,7 +176,7 @@ pub fn bit_rot<const S: usize>(saves: u32, seed: u64) -> Result<Campaign, StoreE
 }
 
 /// Sets of another robot, before and after own ones: none is loaded, none keeps the own one from being found.
-pub fn foreign_sets<const S: usize>(seed: u64) -> Result<Campaign, StoreError> {
+pub(super) fn foreign_sets<const S: usize>(seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("stored sets of another robot", "simulated flash");
     for own in 0..2 * slots(S as u32) + 2 {
         for foreign in 1..2 * slots(S as u32) + 2 {

@@ -2,8 +2,9 @@
 //! not at all. Every promise of docs/safety.md about torque and time is checked after every call of the board.
 
 use super::Campaign;
-use super::damage::{BadLine, Damage};
+use super::damage::{BadLine, DAMAGES, Damage};
 use super::link::{CLEAN_TICKS, motion, order};
+use crate::StudyError;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::learning::ConfigError;
 use foretorque::limits::Flags;
@@ -19,35 +20,22 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::time::Duration;
 
-/// Fault of the time or of the line beside it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TimedFault {
-    /// Samples arrive at other times.
-    Timing(Timing),
-    /// Every period has its sample, and the line does damage.
-    Damage(Damage),
-}
+/// Ways in which samples arrive at other times, with their names in a report.
+const TIMINGS: [(Timing, &str); 5] = [
+    (Timing::Jitter, "jitter"),
+    (Timing::Early, "early samples"),
+    (Timing::Late, "late samples"),
+    (Timing::Bursts, "bursts out of a buffer"),
+    (Timing::Silence, "no samples"),
+];
 
-impl TimedFault {
-    /// All of them.
-    pub fn all() -> impl Iterator<Item = Self> {
-        // In time, nothing is wrong.
-        let timings = Timing::ALL.into_iter().skip(1).map(Self::Timing);
-        timings.chain(Damage::all().map(Self::Damage))
-    }
+/// Name, times of the samples, and damage to the line: one of both is wrong.
+pub(super) type TimedFault = (&'static str, Timing, Option<Damage>);
 
-    /// Name in a report.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Timing(Timing::Exact) => "samples in time",
-            Self::Timing(Timing::Jitter) => "jitter",
-            Self::Timing(Timing::Early) => "early samples",
-            Self::Timing(Timing::Late) => "late samples",
-            Self::Timing(Timing::Bursts) => "bursts out of a buffer",
-            Self::Timing(Timing::Silence) => "no samples",
-            Self::Damage(damage) => damage.name(),
-        }
-    }
+pub(super) fn timed_faults() -> impl Iterator<Item = TimedFault> {
+    let timings = TIMINGS.map(|(timing, name)| (name, timing, None));
+    let damages = DAMAGES.map(|(damage, name)| (name, Timing::Exact, Some(damage)));
+    timings.into_iter().chain(damages)
 }
 
 /// A board with a timer, its host, and the observer of both.
@@ -87,13 +75,17 @@ impl Timeline {
             pending: 0,
             campaign: Campaign::new(name, board_name),
         };
-        let configured = timeline.frame(&HostMessage::Configure(Configuration {
+        let configuration = Configuration {
             pacing,
             ..Configuration::default()
-        }));
-        timeline.deliver(&configured);
-        let learns = timeline.frame(&HostMessage::Learning { on: true });
-        timeline.deliver(&learns);
+        };
+        for message in [
+            HostMessage::Configure(configuration),
+            HostMessage::Learning { on: true },
+        ] {
+            let frame = timeline.frame(&message);
+            timeline.deliver(&frame);
+        }
         Ok(timeline)
     }
 
@@ -175,15 +167,20 @@ impl Timeline {
         }
     }
 
+    /// An undamaged period.
+    fn work(&mut self) {
+        self.periods += 1;
+        self.sent = self.sent.max(self.periods - 1);
+        let mut line = self.sample();
+        line.extend(self.command().unwrap_or_default());
+        self.deliver(&line);
+        self.timer();
+    }
+
     /// Undamaged periods, in which the board must come back to torque; the campaign's counts.
     fn close(mut self) -> Campaign {
         for _ in 0..CLEAN_TICKS {
-            self.periods += 1;
-            self.sent = self.sent.max(self.periods - 1);
-            let mut line = self.sample();
-            line.extend(self.command().unwrap_or_default());
-            self.deliver(&line);
-            self.timer();
+            self.work();
         }
         let back = self.state() == SafetyState::Armed;
         self.campaign.recovered -= u64::from(!back && self.campaign.recovered > 0);
@@ -191,24 +188,18 @@ impl Timeline {
     }
 }
 
-/// `ticks` periods of a board with a timer, whose samples suffer `fault`.
+/// `ticks` periods of a board with a timer, whose samples suffer a fault.
 ///
 /// Errors: the first limit of the arm that cannot work.
-pub fn timed(
+pub(super) fn timed(
     pacing: Pacing,
-    fault: TimedFault,
+    (name, timing, damage): TimedFault,
     ticks: u32,
     seed: u64,
-) -> Result<Campaign, ConfigError> {
+) -> Result<Campaign, StudyError> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (timing, mut line) = match fault {
-        TimedFault::Timing(timing) => (timing, None),
-        TimedFault::Damage(damage) => {
-            let line = BadLine::new(damage, ChaCha8Rng::seed_from_u64(seed));
-            (Timing::Exact, Some(line))
-        }
-    };
-    let mut timeline = Timeline::new(pacing, fault.name())?;
+    let mut line = damage.map(|damage| BadLine::new(damage, ChaCha8Rng::seed_from_u64(seed)));
+    let mut timeline = Timeline::new(pacing, name)?;
     let (mut silent, mut timed_out) = (0, false);
     for _ in 0..ticks {
         timeline.periods += 1;
@@ -254,11 +245,7 @@ mod tests {
     fn a_board_that_ages_too_slowly_breaks_the_promise_of_the_time_out() {
         let mut timeline = Timeline::new(Pacing::Link, "slow timer").unwrap();
         for _ in 0..20 {
-            timeline.periods += 1;
-            let mut line = timeline.sample();
-            line.extend(timeline.command().unwrap_or_default());
-            timeline.deliver(&line);
-            timeline.timer();
+            timeline.work();
         }
         assert_eq!(timeline.state(), SafetyState::Armed);
         for k in 0..100 {
@@ -270,9 +257,7 @@ mod tests {
             timeline.observe();
         }
         let campaign = timeline.campaign;
-        assert!(
-            campaign.mistimed > 0 && campaign.wrong_torques > 0,
-            "{campaign:?}"
-        );
+        let noticed = campaign.mistimed > 0 && campaign.wrong_torques > 0;
+        assert!(noticed, "{campaign:?}");
     }
 }

@@ -3,6 +3,7 @@
 use super::Campaign;
 use super::link::{ARM_EVERY, Host};
 use super::store::set;
+use crate::StudyError;
 use foretorque::arm::ur5::JOINTS;
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::safety::SafetyState;
@@ -14,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// How an upload fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BadUpload {
+pub(super) enum BadUpload {
     /// It stops before its end, with or without a commit.
     Interrupted,
     /// The board is reset in the middle of it.
@@ -29,7 +30,8 @@ pub enum BadUpload {
     StrangeNumber,
 }
 
-const NAMES: [(BadUpload, &str); 6] = [
+/// All of them, with their names in a report.
+pub(super) const BAD_UPLOADS: [(BadUpload, &str); 6] = [
     (BadUpload::Interrupted, "interrupted uploads"),
     (BadUpload::Reset, "reset in the middle of an upload"),
     (BadUpload::WrongRobot, "banks of another robot"),
@@ -41,28 +43,15 @@ const NAMES: [(BadUpload, &str); 6] = [
     ),
 ];
 
-impl BadUpload {
-    /// All of them.
-    pub fn all() -> impl Iterator<Item = Self> {
-        NAMES.iter().map(|(kind, _)| *kind)
-    }
-
-    /// Name in a report.
-    pub fn name(self) -> &'static str {
-        let known = NAMES.iter().find(|(kind, _)| *kind == self);
-        known.map_or("", |(_, name)| name)
-    }
-}
-
 /// `times` uploads that fail, between sound ones. The reference gets the sound ones only: a set is lost when the bank in
 /// force is another one afterwards.
-pub fn bad_uploads(
+pub(super) fn bad_uploads(
     transport: Box<dyn Transport>,
-    bad: BadUpload,
+    (bad, name): (BadUpload, &str),
     times: u32,
     seed: u64,
-) -> Result<Campaign, BoardError> {
-    let mut campaign = Campaign::new(bad.name(), &transport.name());
+) -> Result<Campaign, StudyError> {
+    let mut campaign = Campaign::new(name, &transport.name());
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut host = Host::new(transport, false)?;
     for number in 1..=times {
@@ -95,18 +84,16 @@ pub fn bad_uploads(
 /// The messages of an upload of the first `length` bytes of `bank`, with the commit of all of it.
 fn upload(bank: &[u8], length: usize) -> Vec<HostMessage<JOINTS>> {
     let pieces = bank.get(..length).unwrap_or(bank).chunks(CHUNK).enumerate();
-    let mut messages: Vec<_> = pieces
-        .map(|(place, piece)| HostMessage::BankWrite {
-            offset: (place * CHUNK) as u16,
-            bytes: piece.iter().copied().collect(),
-        })
-        .collect();
-    messages.push(HostMessage::BankCommit {
+    let pieces = pieces.map(|(place, piece)| HostMessage::BankWrite {
+        offset: (place * CHUNK) as u16,
+        bytes: piece.iter().copied().collect(),
+    });
+    let commit = HostMessage::BankCommit {
         length: bank.len() as u16,
         crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bank),
         mac: None,
-    });
-    messages
+    };
+    pieces.chain([commit]).collect()
 }
 
 /// Uploads what must not be taken over. True when the board took it.
@@ -118,10 +105,9 @@ fn spoilt_upload(
 ) -> Result<bool, BoardError> {
     let bank = spoilt_bank(bad, number, random);
     let cut = matches!(bad, BadUpload::Interrupted | BadUpload::Reset);
-    let length = if cut {
-        random.random_range(0..bank.len())
-    } else {
-        bank.len()
+    let length = match cut {
+        true => random.random_range(0..bank.len()),
+        false => bank.len(),
     };
     let mut messages = upload(&bank, length);
     let committed = bad != BadUpload::Interrupted || random.random();
@@ -153,13 +139,10 @@ fn spoilt_bank(bad: BadUpload, number: u32, random: &mut ChaCha8Rng) -> Vec<u8> 
     match bad {
         BadUpload::WrongRobot => bank.arm_hash ^= 1 << random.random_range(0..32),
         BadUpload::StrangeNumber => {
-            let value = *[f32::NAN, f32::INFINITY, f32::NEG_INFINITY]
-                .choose(random)
-                .unwrap_or(&f32::NAN);
-            let (column, weight) = (
-                random.random_range(0..bank.columns.len()),
-                random.random_range(0..bank.weights.len()),
-            );
+            let values = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+            let value = *values.choose(random).unwrap_or(&f32::NAN);
+            let column = random.random_range(0..bank.columns.len());
+            let weight = random.random_range(0..bank.weights.len());
             match random.random_range(0..4) {
                 0 => bank.columns[column].value = value,
                 1 => bank.columns[column].deviation = value,
@@ -202,9 +185,7 @@ mod tests {
             offset: 0,
         };
         host.rig.ask(&offset).unwrap();
-        assert!(
-            host.rig.wrong_torques > 0,
-            "the bank differs from the reference's"
-        );
+        // The bank differs from the reference's.
+        assert!(host.rig.wrong_torques > 0);
     }
 }

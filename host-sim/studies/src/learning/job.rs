@@ -1,10 +1,8 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
-use super::arms::WorldArm;
-use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN};
+use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
-use crate::StudyError;
-use crate::bank_of;
+use crate::{StudyError, bank_of, unsupported};
 use foretorque::arm::Arm;
 use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::learning::rated_payload;
@@ -16,9 +14,7 @@ use foretorque_workbench::plant::Plant;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
 
-/// Bandwidth of the PD loop, Hz.
 const BANDWIDTH_HZ: f64 = 6.0;
-/// Points of the unseen path.
 const UNSEEN_POINTS: usize = 250;
 /// Time of the look at which learning is compared with batch identification, s.
 const EARLY_S: f64 = 30.0;
@@ -42,7 +38,7 @@ impl<const N: usize> Bench<N> {
         let described = arm.described()?;
         let (mut rotors, _) = described.with_assumed_rotors();
         let pd = |robot: &Robot| {
-            let model = ReferenceModel::<N>::new(robot).ok_or(StudyError::Joints(N))?;
+            let model = ReferenceModel::<N>::new(robot).ok_or_else(|| unsupported(N))?;
             Ok::<_, StudyError>(PdConfig::tuned(&model, BANDWIDTH_HZ, PERIOD_S))
         };
         let motor = pd(&rotors)?;
@@ -63,7 +59,7 @@ impl<const N: usize> Bench<N> {
             described,
         };
         let limits = bench.truth.each(|joint| joint.limits.torque);
-        let limits = Joints::<N>::from(limits.ok_or(StudyError::Joints(N))?);
+        let limits = Joints::<N>::from(limits.ok_or_else(|| unsupported(N))?);
         let needed = bench.needed(&bench.plant(&PLAIN, Source::Current)?);
         let squares = needed.iter().fold(Joints::zeros(), |sum: Joints<N>, tau| {
             sum + tau.component_mul(tau) / UNSEEN_POINTS as f64
@@ -74,7 +70,7 @@ impl<const N: usize> Bench<N> {
 
     /// The true arm; errors of its drives belong to the seed, so that all scenarios have the same.
     fn plant(&self, scenario: &Scenario, source: Source) -> Result<Plant<N>, StudyError> {
-        Plant::new(&self.truth, scenario.plant(source), self.seed).ok_or(StudyError::Joints(N))
+        Plant::new(&self.truth, scenario.plant(source), self.seed).ok_or_else(|| unsupported(N))
     }
 
     /// Torques that `plant` needs along the unseen path.
@@ -144,13 +140,8 @@ impl<const N: usize> Bench<N> {
     ) -> Result<ParameterBank, StudyError> {
         let path = PLAIN.trajectory::<N>(&self.described, self.seed.wrapping_add(900), false);
         let plant = self.plant(&PLAIN, source)?;
-        let trace = self.run::<A, P>(
-            (plant, source),
-            &path,
-            Some((start, false)),
-            PLAIN.ticks(false),
-            0.0,
-        )?;
+        let (ticks, frozen) = (PLAIN.ticks(false), Some((start, false)));
+        let trace = self.run::<A, P>((plant, source), &path, frozen, ticks, 0.0)?;
         let start = start.set::<A, N, P>()?;
         Ok(trace.rows.fit::<A, P>(&start))
     }
@@ -166,18 +157,10 @@ impl<const N: usize> Bench<N> {
         let path = scenario.trajectory::<N>(&self.described, self.seed, quick);
         let rated = f64::from(rated_payload::<A, N, P>());
         let events = scenario.events::<N>(&self.described, rated, self.seed, quick);
-        let plant = self.plant(scenario, source)?;
-        let plant = plant
-            .with_events(events.clone())
-            .with_faults(scenario.faults);
-        let ticks = scenario.ticks(quick);
-        let learnt = self.run::<A, P>(
-            (plant.clone(), source),
-            &path,
-            Some((bank, true)),
-            ticks,
-            EARLY_S,
-        )?;
+        let plant = self.plant(scenario, source)?.with_events(events);
+        let plant = plant.with_faults(scenario.faults);
+        let (ticks, learning) = (scenario.ticks(quick), Some((bank, true)));
+        let learnt = self.run::<A, P>((plant.clone(), source), &path, learning, ticks, EARLY_S)?;
         let mut figures = Figures::new();
         let mut put = |name: &'static str, value: f64| figures.insert(name, value);
         let last = |t_s: f64| learnt.curve.iter().rfind(|(at, _)| *at <= t_s + 1e-9);
@@ -186,14 +169,10 @@ impl<const N: usize> Bench<N> {
         let windows = learnt.windows();
         if !windows.is_empty() {
             let worse = windows.iter().filter(|ratio| **ratio > 1.05).count();
-            put(
-                "windows_above_1.05_percent",
-                100.0 * worse as f64 / windows.len() as f64,
-            );
-            put(
-                "worst_window_ratio",
-                windows.iter().copied().fold(0.0, f64::max),
-            );
+            let percent = 100.0 * worse as f64 / windows.len() as f64;
+            put("windows_above_1.05_percent", percent);
+            let worst = windows.iter().copied().fold(0.0, f64::max);
+            put("worst_window_ratio", worst);
         }
         let sum = |k: usize| learnt.seconds.iter().map(|s| s[k]).sum::<f64>();
         put("mean_over_start_ratio", (sum(0) / sum(1)).sqrt());
@@ -204,14 +183,10 @@ impl<const N: usize> Bench<N> {
         }
         if let Event::Payloads(share) = scenario.event {
             let mass = share * rated;
-            let errors = learnt
-                .weighed
-                .iter()
-                .map(|found| 100.0 * (found / mass - 1.0).abs());
-            put(
-                "payload_mass_error_worst_percent",
-                errors.fold(0.0, f64::max),
-            );
+            let found = learnt.weighed.iter();
+            let errors = found.map(|found| 100.0 * (found / mass - 1.0).abs());
+            let worst = errors.fold(0.0, f64::max);
+            put("payload_mass_error_worst_percent", worst);
         }
         if scenario.against_batch {
             let set = bank.set::<A, N, P>()?;
@@ -228,10 +203,8 @@ impl<const N: usize> Bench<N> {
             let alone = self.run::<A, P>((plant, source), &path, None, ticks, 0.0)?;
             let alone = alone.tracking.mean_rms_mrad();
             put("tracking_truth_over_pd_ratio", truth / alone);
-            put(
-                "tracking_over_pd_ratio",
-                learnt.tracking.mean_rms_mrad() / alone,
-            );
+            let learnt = learnt.tracking.mean_rms_mrad();
+            put("tracking_over_pd_ratio", learnt / alone);
         }
         if start == Start::Description {
             let above = learnt.curve.iter().rfind(|(_, error)| *error > 0.35);

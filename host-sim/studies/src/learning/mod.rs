@@ -1,26 +1,25 @@
 //! Does learning pay on every arm, and can it make anything worse? A world of arms in closed loop, over everything that may
 //! go wrong.
 
-mod arms;
 mod job;
-mod page;
 mod run;
 pub mod soak;
 mod twin;
 mod world;
 
-use crate::{Outcome, Progress, StudyError};
-use arms::{ARMS, WorldArm};
+use crate::{Outcome, Progress, StudyError, unsupported};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::parallel::{cores, in_parallel};
+use foretorque_workbench::report::page::{Page, Section};
+use foretorque_workbench::report::plot::{Curve, Panel, PlotColor};
+use foretorque_workbench::snapshot::{aligned, significant};
 use job::Bench;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use world::Scenario;
+use world::{ARMS, Scenario, WorldArm};
 
-/// Period of the tick, s.
 const PERIOD_S: f64 = 1e-3;
 
 /// Figures by name; the unit is the end of the name.
@@ -80,15 +79,15 @@ pub fn run(
     let (arm, scenario) = only.split_once('/').unwrap_or((only, ""));
     let (first, count) = config.seeds;
     let arms = ARMS.iter().filter(|own| own.name.starts_with(arm));
-    let jobs: Vec<(&WorldArm, u64)> = (first..first.saturating_add(count))
-        .flat_map(|seed| arms.clone().map(move |arm| (arm, seed)))
-        .collect();
+    let seeds = first..first.saturating_add(count);
+    let jobs = seeds.flat_map(|seed| arms.clone().map(move |arm| (arm, seed)));
+    let jobs: Vec<(&WorldArm, u64)> = jobs.collect();
     let chosen = Scenario::all(config.quick).filter(|own| own.name.starts_with(scenario));
     let runs = chosen.map(|own| own.starts.len() * own.ticks(config.quick));
     let all = jobs.len() * runs.sum::<usize>() / 1000;
     if all == 0 {
         let reason = format!("no arm and scenario begin with '{only}': --list shows them");
-        return Err(StudyError::Unusable(reason));
+        return Err(StudyError::from(reason));
     }
     let done = AtomicUsize::new(0);
     let advance = |ticks: usize| {
@@ -96,15 +95,19 @@ pub fn run(
         progress("seconds of arm time", before + ticks / 1000, all);
     };
     let work = |&(arm, seed): &(&WorldArm, u64)| of_arm(arm, seed, config, scenario, &advance);
-    let found: Result<Vec<_>, StudyError> = in_parallel(cores(), &jobs, work, || {})
-        .into_iter()
-        .collect();
+    let found = in_parallel(cores(), &jobs, work, || {}).into_iter();
+    let found: Result<Vec<_>, StudyError> = found.collect();
     let scenarios: Vec<ScenarioReport> = found?.into_iter().flatten().collect();
-    Ok(page::outcome(LearningReport {
+    let report = LearningReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         outcomes: comparisons(&scenarios),
         scenarios,
-    }))
+    };
+    Ok(Outcome {
+        page: page(&report),
+        text: text(&report),
+        report,
+    })
 }
 
 /// The scenarios of one arm and seed, by the code of its board.
@@ -118,29 +121,30 @@ fn of_arm(
     let robot = arm.described()?;
     // Arms of the world have five joints or more: each size costs compile time.
     arms!(robot, N, P in (5, 36) (6, 40) (6, 44) (7, 48) (7, 52) (8, 60) => {
-        Described::<N, P>::read(&robot).ok_or(StudyError::Joints(N))?;
+        Described::<N, P>::read(&robot).ok_or_else(|| unsupported(N))?;
         let bench = Bench::<N>::new(arm, seed)?;
         bench.scenarios::<Described<N, P>, P>(arm, config, scenario, done)
-    }, else Err(StudyError::Joints(robot.joint_count())))
+    }, else Err(unsupported(robot.joint_count())))
 }
 
-/// Arm (`-` for all), scenarios whose names begin so (`-` for all), figure, side, bar.
-const BARS: &str = "\
--    path-description          unseen_over_start_ratio           at most  0.35
--    jitter-description        unseen_over_start_ratio           at most  0.35
--    path-                     unseen_over_batch_ratio           at most  1.3
--    path-description-link     unseen_over_batch_ratio           at most  1.1
--    slow-                     unseen_over_batch_ratio           at most  1.5
--    -                         windows_above_1.05_percent        at most  1
--    -                         worst_window_ratio                at most  1.1
--    path-                     tracking_over_pd_ratio            at most  0.2
--    rigid-                    tracking_over_pd_ratio            at most  0.2
-ur5  rigid-                    tracking_over_pd_ratio            at most  0.05
--    drift-                    mean_over_start_ratio             at most  0.8
--    calm-                     alarms_count                      at most  0
--    payload-                  payload_mass_error_worst_percent  at most  10
--    -                         armed_at_the_end_count            at least 1
-";
+/// Beginnings of the names of arm and scenario, figure, side, bar.
+#[rustfmt::skip]
+const BARS: [(&str, &str, &str, &str, f64); 14] = [
+    ("",    "path-description",      "unseen_over_start_ratio",           "at most",  0.35),
+    ("",    "jitter-description",    "unseen_over_start_ratio",           "at most",  0.35),
+    ("",    "path-",                 "unseen_over_batch_ratio",           "at most",  1.3),
+    ("",    "path-description-link", "unseen_over_batch_ratio",           "at most",  1.1),
+    ("",    "slow-",                 "unseen_over_batch_ratio",           "at most",  1.5),
+    ("",    "",                      "windows_above_1.05_percent",        "at most",  1.0),
+    ("",    "",                      "worst_window_ratio",                "at most",  1.1),
+    ("",    "path-",                 "tracking_over_pd_ratio",            "at most",  0.2),
+    ("",    "rigid-",                "tracking_over_pd_ratio",            "at most",  0.2),
+    ("ur5", "rigid-",                "tracking_over_pd_ratio",            "at most",  0.05),
+    ("",    "drift-",                "mean_over_start_ratio",             "at most",  0.8),
+    ("",    "calm-",                 "alarms_count",                      "at most",  0.0),
+    ("",    "payload-",              "payload_mass_error_worst_percent",  "at most",  10.0),
+    ("",    "",                      "armed_at_the_end_count",            "at least", 1.0),
+];
 
 /// One figure against its bar.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -163,25 +167,14 @@ pub struct Comparison {
     pub met: bool,
 }
 
-/// Arm, beginning of the scenario's name, figure, whether the figure is to be at most the bar, bar.
-fn bars() -> impl Iterator<Item = Option<(&'static str, &'static str, &'static str, bool, f64)>> {
-    BARS.lines().map(|line| {
-        let mut words = line.split_whitespace();
-        let mut beginning = || Some(words.next()?.trim_start_matches('-'));
-        let (arm, scenario) = (beginning()?, beginning()?);
-        let (figure, _, side, bar) = (words.next()?, words.next()?, words.next()?, words.next()?);
-        Some((arm, scenario, figure, side == "most", bar.parse().ok()?))
-    })
-}
-
 /// Every figure that has a bar, bar by bar.
 fn comparisons(reports: &[ScenarioReport]) -> Vec<Comparison> {
     let mut out = Vec::new();
-    for (arm, scenario, figure, at_most, bar) in bars().flatten() {
-        let of_bar = reports
-            .iter()
-            .filter(|report| report.arm.starts_with(arm) && report.scenario.starts_with(scenario));
-        for report in of_bar {
+    for (arm, scenario, figure, side, bar) in BARS {
+        let of_bar = |report: &&ScenarioReport| {
+            report.arm.starts_with(arm) && report.scenario.starts_with(scenario)
+        };
+        for report in reports.iter().filter(of_bar) {
             let Some(&measured) = report.figures.get(figure) else {
                 continue;
             };
@@ -191,18 +184,133 @@ fn comparisons(reports: &[ScenarioReport]) -> Vec<Comparison> {
                 seed: report.seed,
                 figure: figure.to_owned(),
                 measured,
-                side: if at_most { "at most" } else { "at least" },
+                side,
                 bar,
                 // A figure that is not a number is on neither side.
-                met: if at_most {
-                    measured <= bar
-                } else {
-                    measured >= bar
+                met: match side {
+                    "at most" => measured <= bar,
+                    _ => measured >= bar,
                 },
             });
         }
     }
     out
+}
+
+fn reached(outcomes: &[&Comparison]) -> String {
+    let met = outcomes.iter().filter(|outcome| outcome.met).count();
+    format!("{met} of {}", outcomes.len())
+}
+
+/// Arms that ran, in the order of the table.
+fn arms(report: &LearningReport) -> impl Iterator<Item = &'static str> {
+    let ran: BTreeSet<&str> = report.scenarios.iter().map(|s| s.arm.as_str()).collect();
+    let arms = ARMS.iter().map(|arm| arm.name);
+    arms.filter(move |arm| ran.contains(arm))
+}
+
+/// Bars as rows, and one column for each arm: how many of its scenarios reach the bar, and the worst figure.
+fn matrix(report: &LearningReport) -> (String, Vec<Vec<String>>) {
+    let mut bars: Vec<(&str, &str, f64)> = Vec::new();
+    for outcome in &report.outcomes {
+        let bar = (outcome.figure.as_str(), outcome.side, outcome.bar);
+        if !bars.contains(&bar) {
+            bars.push(bar);
+        }
+    }
+    let rows = bars.into_iter().map(|(figure, side, bar)| {
+        let cells = arms(report).map(|arm| {
+            let mut own: Vec<&Comparison> = report.outcomes.iter().collect();
+            own.retain(|own| own.arm == arm && (own.figure.as_str(), own.bar) == (figure, bar));
+            let sign = if side == "at most" { 1.0 } else { -1.0 };
+            let worst = own.iter().map(|outcome| sign * outcome.measured);
+            let worst = sign * worst.fold(f64::NEG_INFINITY, f64::max);
+            let missed = own.iter().any(|outcome| !outcome.met);
+            match (own.is_empty(), missed) {
+                (true, _) => String::new(),
+                (_, false) => format!("{}, worst {}", reached(&own), number(worst)),
+                (_, true) => format!("MISSED {}, worst {}", reached(&own), number(worst)),
+            }
+        });
+        let first = [figure.to_owned(), format!("{side} {bar}")];
+        first.into_iter().chain(cells).collect()
+    });
+    let header = arms(report).collect::<Vec<_>>().join(" | ");
+    (format!("figure | bar | {header}"), rows.collect())
+}
+
+fn page(report: &LearningReport) -> Page {
+    let all: Vec<&Comparison> = report.outcomes.iter().collect();
+    let (header, rows) = matrix(report);
+    let missed = report.outcomes.iter().filter(|outcome| !outcome.met);
+    let scenarios = report.scenarios.iter();
+    let panels = scenarios
+        .filter(|s| s.scenario.starts_with("path-"))
+        .map(|scenario| {
+            let title = format!("{} {}", scenario.arm, scenario.scenario);
+            let curve = Curve::new(PlotColor::After, &scenario.curve, |point| *point);
+            Panel::new(&title, "t / s", "error over start", vec![curve]).from_zero()
+        });
+    let panels: Vec<Panel> = panels.collect();
+    let figures = report.scenarios.iter().flat_map(|scenario| {
+        scenario.figures.iter().map(|(figure, value)| {
+            [
+                scenario.arm.clone(),
+                scenario.scenario.clone(),
+                scenario.seed.to_string(),
+                (*figure).to_owned(),
+                number(*value),
+            ]
+        })
+    });
+    let kinds = ARMS
+        .iter()
+        .map(|arm| [arm.name, arm.kind].map(str::to_owned));
+    Page::new(
+        "Learning on the board of every arm",
+        "Simulated arms with elastic gears, sticking friction, sensor errors and late reports under PD control. The \
+         firmware's own session learns in one configuration.",
+    )
+    .card(reached(&all), "figures reach their bar")
+    .sections([
+        Section::new("Bars by arm", "Scenarios that reach the bar, and the worst figure.")
+            .table(header, rows),
+        Section::new("Missed", "Every figure that misses its bar.")
+            .table("arm | scenario | seed | figure | measured | bar", missed.map(row)),
+        Section::new(
+            "Torque error on a path that is never played",
+            "Error of the set in force over that of the start; joints below 2 % of their limit count as 2 %.",
+        )
+        .plots(panels, 4),
+        Section::new("Arms", "Descriptions in host-sim/robots.").table("arm | kind", kinds),
+        Section::new("All figures", "The unit is the end of the name.")
+            .table("arm | scenario | seed | figure | value", figures),
+    ])
+}
+
+fn row(outcome: &Comparison) -> [String; 6] {
+    [
+        outcome.arm.clone(),
+        outcome.scenario.clone(),
+        outcome.seed.to_string(),
+        outcome.figure.clone(),
+        number(outcome.measured),
+        format!("{} {}", outcome.side, outcome.bar),
+    ]
+}
+
+fn text(report: &LearningReport) -> String {
+    let all: Vec<&Comparison> = report.outcomes.iter().collect();
+    let (header, rows) = matrix(report);
+    let missed = report.outcomes.iter().filter(|outcome| !outcome.met);
+    let columns = "arm | scenario | seed | figure | measured | reach";
+    let (matrix, missed) = (aligned(&header, rows), aligned(columns, missed.map(row)));
+    let reached = reached(&all);
+    format!("host-sim experiment learning: {reached} reached.\n\n{matrix}\nMissed:\n\n{missed}")
+}
+
+fn number(value: f64) -> String {
+    significant(value, 4)
 }
 
 #[cfg(test)]
@@ -228,10 +336,5 @@ mod tests {
         assert!(figures["unseen_over_start_ratio"] < 0.2, "{figures:?}");
         assert!(figures["tracking_over_pd_ratio"] < 0.2, "{figures:?}");
         assert_eq!(first, report("ur5/rigid"));
-    }
-
-    #[test]
-    fn every_line_of_the_table_is_a_bar() {
-        assert_eq!(bars().flatten().count(), BARS.lines().count());
     }
 }

@@ -110,13 +110,8 @@ impl<const N: usize> Bench<N> {
             started = Some(bank.set::<A, N, P>()?);
             board = Some(client);
         }
-        let mut play = ClosedLoop::new(
-            &mut plant,
-            &self.pd[usize::from(source == Source::Link)],
-            path,
-            PERIOD_S,
-            board.as_mut(),
-        )?;
+        let pd = &self.pd[usize::from(source == Source::Link)];
+        let mut play = ClosedLoop::new(&mut plant, pd, path, PERIOD_S, board.as_mut())?;
         let learns = start.is_some_and(|(_, learns)| learns);
         if let Some(board) = &mut board {
             board.learning(learns)?;
@@ -145,8 +140,8 @@ impl<const N: usize> Bench<N> {
                 trace.curve.push((t_s, error));
             }
             let record = play.tick(&mut plant, board.as_mut())?;
-            if (carried, plant.carried().is_some()) != (carried, carried) {
-                (carried, changed_s) = (plant.carried().is_some(), t_s);
+            if plant.carried().is_some() != carried {
+                (carried, changed_s) = (!carried, t_s);
             }
             if carried && (t_s - changed_s - WEIGHED_S).abs() < 0.5 * PERIOD_S {
                 trace.weighed.push(mass);
@@ -161,18 +156,13 @@ impl<const N: usize> Bench<N> {
                 });
                 trace.rows.push(measured.as_ref());
             }
-            if let (Some(started), true, true) = (
-                &started,
-                tick % EVERY == 0,
-                t_s - changed_s > GRACE_S && tick > 0,
-            ) {
+            let compared = tick > 0 && tick % EVERY == 0 && t_s - changed_s > GRACE_S;
+            if let (Some(started), true) = (&started, compared) {
                 let needed = plant.true_torque(&record.desired);
                 let motion = motion_f32(&record.desired);
                 let frozen: Joints<N> = evaluate::<A, N, P>(started, &motion).total.cast();
-                let second = t_s as usize;
-                trace
-                    .seconds
-                    .resize(trace.seconds.len().max(second + 1), [0.0; 3]);
+                let (second, length) = (t_s as usize, trace.seconds.len());
+                trace.seconds.resize(length.max(second + 1), [0.0; 3]);
                 for j in (0..N).filter(|&j| record.desired.qd[j].abs() > MOVING_RAD_S) {
                     let square = |tau: f64| ((tau - needed[j]) / self.scale[j]).powi(2);
                     let sums = &mut trace.seconds[second];
@@ -256,8 +246,8 @@ impl<const N: usize> Rows<N> {
     ) -> ParameterBank {
         let config = LearnerConfig::<N, P>::for_arm::<A>(PERIOD_S as f32);
         let (origin, sigma) = (LinearParameters::of(start), config.sigma);
-        let scale: Vec<f64> = sigma.iter().map(|s| DOUBT * f64::from(*s)).collect();
-        let scale = DVector::from_vec(scale);
+        let scale = sigma.iter().map(|s| DOUBT * f64::from(*s));
+        let scale = DVector::from_vec(scale.collect());
         let rows = |joint: usize| {
             let moving = move |seen: &&ConditionedSample<N>| {
                 seen.motion.qd[joint].abs() >= config.velocity_gate
@@ -272,19 +262,17 @@ impl<const N: usize> Rows<N> {
                 .component_mul(&scale)
         };
         // Columns in prior standard deviations.
-        let sums: Vec<JointSums> = (0..N)
-            .map(|joint| {
-                let rows: Vec<_> = rows(joint).collect();
-                let mut sums = JointSums::new(scale.len());
-                for block in rows.chunks(BLOCK) {
-                    let columns: Vec<_> = block.iter().map(|(row, _)| scaled(row)).collect();
-                    let x = DMatrix::from_columns(&columns);
-                    let tau: Vec<f64> = block.iter().map(|(_, tau)| *tau).collect();
-                    sums.add(x.as_slice(), &tau);
-                }
-                sums
-            })
-            .collect();
+        let sums: [JointSums; N] = std::array::from_fn(|joint| {
+            let rows: Vec<_> = rows(joint).collect();
+            let mut sums = JointSums::new(scale.len());
+            for block in rows.chunks(BLOCK) {
+                let columns: Vec<_> = block.iter().map(|(row, _)| scaled(row)).collect();
+                let x = DMatrix::from_columns(&columns);
+                let tau: Vec<f64> = block.iter().map(|(_, tau)| *tau).collect();
+                sums.add(x.as_slice(), &tau);
+            }
+            sums
+        });
         let (mut weights, mut found) = ([1.0; N], DVector::zeros(scale.len()));
         let solve = |weights: &[f64; N]| {
             let mut normal = DMatrix::<f64>::identity(scale.len(), scale.len());
@@ -293,9 +281,8 @@ impl<const N: usize> Rows<N> {
                 normal += &sums.gram * *weight;
                 right.axpy(*weight, &sums.moment, 1.0);
             }
-            normal
-                .cholesky()
-                .map(|normal| (normal.solve(&right), normal))
+            let normal = normal.cholesky()?;
+            Some((normal.solve(&right), normal))
         };
         for _ in 0..3 {
             weights = std::array::from_fn(|joint| 1.0 / sums[joint].mean_square(&found).max(1e-9));
@@ -303,9 +290,8 @@ impl<const N: usize> Rows<N> {
         }
         // Half-second blocks of correlated residuals carry less information than as many independent ones.
         let inflated: [f64; N] = std::array::from_fn(|joint| {
-            let residuals: Vec<f64> = rows(joint)
-                .map(|(row, tau)| tau - scaled(&row).dot(&found))
-                .collect();
+            let residuals = rows(joint).map(|(row, tau)| tau - scaled(&row).dot(&found));
+            let residuals: Vec<f64> = residuals.collect();
             weights[joint] / correlation(&residuals)
         });
         let variances = solve(&inflated).map(|(_, normal)| normal.inverse().diagonal());

@@ -2,8 +2,7 @@
 
 use super::PERIOD_S;
 use super::twin::{CHUNK, N, P, Set, twin};
-use crate::bank_of;
-use crate::{Outcome, Progress, StudyError};
+use crate::{Outcome, Progress, StudyError, bank_of, unsupported};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::joint::{JointMeasurement, JointSample};
@@ -105,7 +104,6 @@ impl Setup {
     }
 }
 
-/// Points of the unseen path.
 const UNSEEN_POINTS: usize = 250;
 /// Length of the path and of the standstill behind it, s; then it begins anew.
 const PATH_S: f64 = 590.0;
@@ -128,12 +126,9 @@ struct Source<'w> {
 
 impl<'w> Source<'w> {
     fn new(setup: &'w Setup) -> Result<Self, StudyError> {
-        let plant = Plant::new(
-            &setup.truth,
-            PlantConfig::default(),
-            setup.seed.wrapping_mul(1000),
-        )
-        .ok_or(StudyError::Joints(N))?;
+        let noise = setup.seed.wrapping_mul(1000);
+        let plant = Plant::new(&setup.truth, PlantConfig::default(), noise);
+        let plant = plant.ok_or_else(|| unsupported(N))?;
         let seed = setup.seed.wrapping_add(203);
         let path = ViaPath::random(&setup.described, seed, PATH_S, VALIDATION_PEAK_RAD_S);
         let payload = Payload::cube(2.0, PAYLOAD_COM_M, 0.0, f64::INFINITY);
@@ -158,18 +153,15 @@ impl<'w> Source<'w> {
         let held = t_s % PAYLOAD_EVERY_S > PAYLOAD_EVERY_S - 10.0;
         self.arm = usize::from(held);
         let torque = self.arms[self.arm].true_torque(&wanted);
+        let count = TAU / 131_072.0;
         let joints = &self.setup.described.joints;
+        let noisy = |j: usize| {
+            let noise = self.random.sample::<f64, _>(StandardNormal);
+            (torque[j] + 0.01 * joints[j].limits.torque * noise) as f32
+        };
         let measured = JointMeasurement {
-            q: wanted.q.map(|q| {
-                let count = TAU / 131_072.0;
-                ((q / count).round() * count) as f32
-            }),
-            tau: torque.zip_map(
-                &nalgebra::SVector::<f64, N>::from_fn(|j, _| joints[j].limits.torque),
-                |torque, limit| {
-                    (torque + 0.01 * limit * self.random.sample::<f64, _>(StandardNormal)) as f32
-                },
-            ),
+            q: wanted.q.map(|q| ((q / count).round() * count) as f32),
+            tau: std::array::from_fn(noisy).into(),
         };
         // The path begins anew somewhere else: what is measured does not join on.
         let joins = t_s > 0.0;
@@ -189,10 +181,7 @@ pub fn run(
     progress: Progress<'_>,
 ) -> Result<Outcome<SoakReport>, StudyError> {
     let setup = Setup::new(config.seed)?;
-    let board_ticks = match board {
-        Some(_) => config.board_ticks,
-        None => 0,
-    };
+    let board_ticks = board.as_ref().map_or(0, |_| config.board_ticks);
     let all = 2 * config.ticks + board_ticks;
     let done = AtomicUsize::new(0);
     let advance = || {
@@ -227,26 +216,24 @@ pub fn run(
 }
 
 fn stopped(what: &str) -> StudyError {
-    StudyError::Unusable(format!("{what} stopped"))
+    StudyError::from(format!("{what} stopped"))
 }
 
 fn outcome(report: SoakReport) -> Result<Outcome<SoakReport>, StudyError> {
     let values = serde_json::to_value(&report)?;
     let rows = values.as_object().into_iter().flatten();
-    let rows: Vec<[String; 2]> = rows
-        .map(|(name, value)| [name.clone(), value.to_string()])
-        .collect();
+    let rows = rows.map(|(name, value)| [name.clone(), value.to_string()]);
+    let rows: Vec<[String; 2]> = rows.collect();
     let text = rows
         .iter()
         .map(|[name, value]| format!("{name:<34} {value}\n"));
+    let text = text.collect();
+    let lead = "Long learning without overflow, drift or a difference in bits.";
+    let section = Section::new("Figures", "The unit is the end of the name.");
+    let section = section.table("figure | value", rows);
     Ok(Outcome {
-        text: text.collect(),
-        page: Page::new(
-            "Soak",
-            "Long learning without overflow, drift or a difference in bits.",
-        )
-        .sections([Section::new("Figures", "The unit is the end of the name.")
-            .table("figure | value", rows)]),
+        text,
+        page: Page::new("Soak", lead).sections([section]),
         report,
     })
 }
@@ -290,10 +277,8 @@ fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
         if tick % CHUNK == CHUNK - 1 {
             let diagonal = native.learner().state().estimate.filter().diagonal();
             // Not a number would get lost in a minimum.
-            least = diagonal
-                .iter()
-                .map(|&d| if d.is_finite() { f64::from(d) } else { -1.0 })
-                .fold(least, f64::min);
+            let finite = |d: f32| if d.is_finite() { f64::from(d) } else { -1.0 };
+            least = diagonal.iter().map(|&d| finite(d)).fold(least, f64::min);
             advance();
         }
     }
@@ -352,9 +337,8 @@ mod tests {
             ticks: 100_000,
             board_ticks: 5000,
         };
-        let report = run(&config, Some(&mut board), &|_, _, _| {})
-            .expect("runs")
-            .report;
+        let outcome = run(&config, Some(&mut board), &|_, _, _| {});
+        let report = outcome.expect("runs").report;
         assert_eq!(report.not_finite_ticks_count, 0);
         assert!(report.least_diagonal_ratio > 0.0, "{report:?}");
         // Rounding adds up: with a diagonal that leaks, 1.1e-3 by now and four times the bar in ten million ticks.

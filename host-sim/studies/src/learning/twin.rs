@@ -61,8 +61,8 @@ fn prior_covariance() -> DMatrix<f64> {
 }
 
 fn wide(numbers: &LinearParameters<N, P>) -> DVector<f64> {
-    let numbers: Vec<f64> = numbers.iter().map(|&x| f64::from(x)).collect();
-    DVector::from_vec(numbers)
+    let numbers = numbers.iter().map(|&x| f64::from(x));
+    DVector::from_vec(numbers.collect())
 }
 
 impl Twin {
@@ -119,8 +119,8 @@ impl Twin {
         *variance *= if z.abs() > MEDIAN { step } else { 1.0 / step };
         *variance = variance.clamp(VARIANCE_RANGE.0, VARIANCE_RANGE.1);
         let most = f64::from(self.config.outlier_sigmas) * s.sqrt();
-        self.theta
-            .axpy(innovation.clamp(-most, most) / total, &spread, 1.0);
+        let step = innovation.clamp(-most, most) / total;
+        self.theta.axpy(step, &spread, 1.0);
         self.bound(joint * FRICTION_COLUMNS);
     }
 

@@ -1,6 +1,6 @@
 //! One draw of the robustness study: an arm, its noisy torques on the excitation, every method, an unseen path.
 
-use crate::StudyError;
+use crate::{StudyError, unsupported};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::dynamics::{Joints, PerJoint, State};
 use foretorque_workbench::excitation::Excitation;
@@ -136,10 +136,9 @@ impl Bench {
             .collect();
         let model = |columns: &ColumnSet, methods, suffix| {
             let layout = Layout::new(&robot, columns);
-            let panels = panels(&layout, &states);
             Model {
+                panels: panels(&layout, &states),
                 layout,
-                panels,
                 methods,
                 suffix,
             }
@@ -163,13 +162,11 @@ impl Bench {
             ..PlantConfig::default()
         };
         let truth = arm(&self.robot, cell);
-        let plant =
-            Plant::<JOINTS>::new(&truth, quiet, cell.seed).ok_or(StudyError::Joints(JOINTS))?;
+        let plant = Plant::<JOINTS>::new(&truth, quiet, cell.seed);
+        let plant = plant.ok_or_else(|| unsupported(JOINTS))?;
         let torques = |states: &[State<JOINTS>]| -> Vec<Joints<JOINTS>> {
-            states
-                .iter()
-                .map(|state| plant.true_torque(state))
-                .collect()
+            let torques = states.iter().map(|state| plant.true_torque(state));
+            torques.collect()
         };
         let mut random = ChaCha8Rng::seed_from_u64(cell.seed);
         let exact = torques(&self.states);
@@ -184,13 +181,16 @@ impl Bench {
         let held: Vec<State<JOINTS>> = held_out.iter().map(|&k| self.states[k]).collect();
         let held_exact: Vec<Joints<JOINTS>> = held_out.iter().map(|&k| exact[k]).collect();
         let path = Trajectory::<JOINTS>::validation(&self.robot, cell.seed);
-        let path: Vec<State<JOINTS>> = (0..path.ticks(PATH_STEP_S))
-            .map(|tick| path.at(tick as f64 * PATH_STEP_S))
-            .collect();
+        let ticks = 0..path.ticks(PATH_STEP_S);
+        let path = ticks.map(|tick| path.at(tick as f64 * PATH_STEP_S));
+        let path: Vec<State<JOINTS>> = path.collect();
         let path_exact = torques(&path);
         let (mut methods, mut failed) = (BTreeMap::new(), BTreeMap::new());
         for model in &self.models {
-            let row = |k: &usize| row(&self.states[*k], &model.panels[*k], &measured, &clean, *k);
+            let row = |&k: &usize| {
+                let torques = [&measured, &clean].map(|table| &table[k * JOINTS..][..JOINTS]);
+                row(&self.states[k], &model.panels[k], torques)
+            };
             let rows: Vec<SampleRow> = training.iter().map(row).collect();
             let rows: Vec<&SampleRow> = rows.iter().collect();
             for method in model.methods {
@@ -234,10 +234,10 @@ impl Bench {
                 let noise: f64 = random.sample(StandardNormal);
                 // Drawn whether used or not: conditions of one seed share what they can.
                 let (share, up) = (random.random::<f64>(), random.random::<bool>());
-                let outlier = if share < 0.01 * cell.outlier_percent {
-                    if up { OUTLIER } else { -OUTLIER }
-                } else {
-                    0.0
+                let outlier = match (share < 0.01 * cell.outlier_percent, up) {
+                    (true, true) => OUTLIER,
+                    (true, false) => -OUTLIER,
+                    (false, _) => 0.0,
                 };
                 let disturbed = 0.01 * cell.noise_percent * noise + outlier;
                 measured.push(tau + disturbed * joint.limits.torque);
@@ -275,18 +275,12 @@ fn panels(layout: &Layout, states: &[State<JOINTS>]) -> Vec<Box<[f64]>> {
     states.iter().map(row).collect()
 }
 
-fn row(
-    state: &State<JOINTS>,
-    panel: &[f64],
-    measured: &[f64],
-    clean: &[f64],
-    row: usize,
-) -> SampleRow {
-    let at = |table: &[f64]| table[row * JOINTS..][..JOINTS].into();
+/// A row with its torques, as measured and without outliers, N·m.
+fn row(state: &State<JOINTS>, panel: &[f64], [measured, clean]: [&[f64]; 2]) -> SampleRow {
     SampleRow {
         state: (*state).into(),
-        tau: at(measured),
-        clean: at(clean),
+        tau: measured.into(),
+        clean: clean.into(),
         moving: state.qd.map(|qd| qd.abs() > MOVING_RAD_S).as_slice().into(),
         panel: panel.into(),
         // The arms of this study have no cogging.
@@ -301,15 +295,11 @@ fn score(
     states: &[State<JOINTS>],
     wanted: &[Joints<JOINTS>],
 ) -> f64 {
-    let nothing = [0.0; JOINTS];
     let mut error = TorqueError::<JOINTS>::default();
     for ((state, panel), wanted) in states.iter().zip(panels(layout, states)).zip(wanted) {
-        let row = row(state, &panel, &nothing, &nothing, 0);
-        error.add(
-            wanted,
-            &trial.candidate.torque(layout, &row).into(),
-            &state.qd,
-        );
+        let row = row(state, &panel, [&[0.0; JOINTS]; 2]);
+        let torque = trial.candidate.torque(layout, &row).into();
+        error.add(wanted, &torque, &state.qd);
     }
     error.nrmse_moving()
 }

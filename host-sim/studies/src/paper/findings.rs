@@ -1,8 +1,8 @@
 //! The figures as sentences.
 
 use super::cell::FrictionKind;
-use super::steps::Steps;
-use super::{Condition, Times};
+use super::steps::{Steps, Trained};
+use super::{Condition, Times, by_rows, on_all_rows};
 use std::collections::BTreeMap;
 
 /// A method that is this near to another, on the geometric mean, does as well.
@@ -11,21 +11,20 @@ const EQUAL: f64 = 0.02;
 /// Findings of steps and conditions, whether or not they favour the BP network.
 pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     let mut out = Vec::new();
-    let physical = &steps.trained[2];
-    let plain = &steps.trained[1];
-    let black_box = &steps.trained[3];
+    let [exact, plain, physical, black_box] = &steps.trained;
+    let error = |trained: &Trained| percent(trained.base_parameter_error_ratio.unwrap_or(0.0));
     out.push(format!(
         "Without noise the BP network with physical weights finds the {} base parameters to {} of their norm after {} accelerated \
          epochs ({} after {} epochs of eq. 21 as it stands) and predicts the arbitrary path to {} NRMSE; least squares solves the \
          same equations at once, to {} and {}.",
         steps.base_parameters,
-        percent(physical.base_parameter_error_ratio.unwrap_or(0.0)),
+        error(physical),
         physical.epochs,
-        percent(plain.base_parameter_error_ratio.unwrap_or(0.0)),
+        error(plain),
         plain.epochs,
         percent(physical.path_nrmse_ratio),
-        percent(steps.trained[0].base_parameter_error_ratio.unwrap_or(0.0)),
-        percent(steps.trained[0].path_nrmse_ratio),
+        error(exact),
+        percent(exact.path_nrmse_ratio),
     ));
     out.push(format!(
         "A BP network with a hidden layer on q, qd, qdd (18-32-6) shows {} on the held-out 20 % and {} on the arbitrary path: the \
@@ -33,8 +32,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         percent(black_box.validation_loss_ratio),
         percent(black_box.path_nrmse_ratio),
     ));
-    let full = conditions.iter().map(|c| c.rows).max().unwrap_or(0);
-    let grid: Vec<&Condition> = conditions.iter().filter(|c| c.rows == full).collect();
+    let grid = on_all_rows(conditions);
     let of = |friction: Option<FrictionKind>, outliers: Option<bool>| -> Vec<&Condition> {
         let fits = |c: &&Condition| {
             friction.is_none_or(|f| c.friction == f)
@@ -54,21 +52,16 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         ));
     }
     let hit = of(None, Some(true));
-    if let (Some((physical, ..)), Some((robust, ..))) = (
-        ratios(&hit, "bp_physical", "wls"),
-        ratios(&hit, "irls", "wls"),
-    ) {
+    let mean = |conditions: &[&Condition], of: &str| Some(ratios(conditions, of, "wls")?.0);
+    if let (Some(physical), Some(robust)) = (mean(&hit, "bp_physical"), mean(&hit, "irls")) {
         out.push(format!(
             "Outliers: with 1 % of them bp_physical has {physical:.3} times the error of weighted least squares, robust least squares \
              (irls) {robust:.3} times: it is the loss and the cleaning that resist outliers, not the network."
         ));
     }
     let peaked = of(Some(FrictionKind::Stribeck), None);
-    if let (Some((physical, ..)), Some((residual, ..)), Some((columns, ..))) = (
-        ratios(&peaked, "bp_physical", "wls"),
-        ratios(&peaked, "bp_residual", "wls"),
-        ratios(&peaked, "irls_stribeck", "wls"),
-    ) {
+    let methods = ["bp_physical", "bp_residual", "irls_stribeck"];
+    if let [Some(physical), Some(residual), Some(columns)] = methods.map(|of| mean(&peaked, of)) {
         out.push(format!(
             "Friction the model does not know (Stribeck): bp_physical {physical:.3} times weighted least squares, small BP networks on \
              what least squares leaves (bp_residual) {residual:.3} times, two more columns in robust least squares {columns:.3} times."
@@ -77,10 +70,8 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     let best = |friction: FrictionKind| {
         let conditions = of(Some(friction), None);
         let names = grid.first().map(|c| c.methods.keys().cloned());
-        let scored = names.into_iter().flatten().filter_map(|name| {
-            let (mean, ..) = ratios(&conditions, &name, "wls")?;
-            Some((mean, name))
-        });
+        let names = names.into_iter().flatten();
+        let scored = names.filter_map(|name| Some((mean(&conditions, &name)?, name)));
         scored.min_by(|a, b| a.0.total_cmp(&b.0))
     };
     for friction in super::FRICTIONS {
@@ -96,7 +87,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
             "The black-box network is {mean:.0} times worse than weighted least squares on unseen paths ({least:.0} to {most:.0})."
         ));
     }
-    out.extend(samples(conditions, full));
+    out.extend(samples(conditions));
     out.extend(failures(conditions));
     out
 }
@@ -108,27 +99,24 @@ fn failures(conditions: &[Condition]) -> Option<String> {
         *failed.entry(name).or_default() += count;
     }
     let draws: usize = conditions.iter().map(|c| c.draws).sum();
-    let reported: Vec<String> = failed
-        .iter()
-        .map(|(name, count)| format!("{name} in {count} of {draws} draws"))
-        .collect();
+    let failed = failed.iter();
+    let reported = failed.map(|(name, count)| format!("{name} in {count} of {draws} draws"));
+    let reported: Vec<String> = reported.collect();
     (!reported.is_empty()).then(|| format!("Found no model: {}.", reported.join(", ")))
 }
 
 /// Rows that the methods need: the fewest with which the error is at most twice that with all rows.
-fn samples(conditions: &[Condition], full: usize) -> Option<String> {
-    let mut curve: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
-    curve.sort_by_key(|c| c.rows);
+fn samples(conditions: &[Condition]) -> Option<String> {
+    let (curve, full) = (by_rows(conditions), on_all_rows(conditions).first()?.rows);
     let last = curve.iter().find(|c| c.rows == full)?;
     let needed: Vec<String> = ["wls", "irls", "consistent", "bp_physical", "bp_residual"]
         .iter()
         .filter_map(|name| {
-            let goal = 2.0 * last.methods.get(*name)?.path_nrmse_ratio;
-            let first = curve.iter().find(|c| {
-                let own = c.methods.get(*name);
-                own.is_some_and(|own| own.path_nrmse_ratio <= goal)
-            })?;
-            let own = first.methods.get(*name)?.path_nrmse_ratio;
+            let error = |c: &Condition| Some(c.methods.get(*name)?.path_nrmse_ratio);
+            let goal = 2.0 * error(last)?;
+            let reaches = |c: &&&Condition| error(c).is_some_and(|own| own <= goal);
+            let first = curve.iter().find(reaches)?;
+            let own = error(first)?;
             Some(format!("{name} {} rows ({})", first.rows, percent(own)))
         })
         .collect();
@@ -144,23 +132,19 @@ fn samples(conditions: &[Condition], full: usize) -> Option<String> {
 pub(super) fn of_times(times: &Times) -> Option<String> {
     let last = |name: &str| times.least_seconds.get(name)?.last().copied();
     let (rows, reference) = last("wls")?;
-    let others: Vec<String> = [
+    let others = [
         "irls",
         "consistent",
         "bp_physical",
         "bp_residual",
         "bp_black_box",
-    ]
-    .iter()
-    .filter_map(|name| {
+    ];
+    let others = others.iter().filter_map(|name| {
         let (_, seconds) = last(name)?;
-        Some(format!(
-            "{name} {:.0} ms ({:.0}×)",
-            1e3 * seconds,
-            seconds / reference
-        ))
-    })
-    .collect();
+        let (ms, times) = (1e3 * seconds, seconds / reference);
+        Some(format!("{name} {ms:.0} ms ({times:.0}×)"))
+    });
+    let others: Vec<String> = others.collect();
     Some(format!(
         "Seconds of training on {rows} rows: weighted least squares {:.1} ms; {}. The BP networks are not the efficient way.",
         1e3 * reference,
@@ -170,23 +154,20 @@ pub(super) fn of_times(times: &Times) -> Option<String> {
 
 /// Geometric mean, least and most of the error of one method over that of another.
 fn ratios(conditions: &[&Condition], of: &str, over: &str) -> Option<(f64, f64, f64)> {
-    let ratios: Vec<f64> = conditions
-        .iter()
-        .filter_map(|c| {
-            let error = |name: &str| Some(c.methods.get(name)?.path_nrmse_ratio);
-            Some(error(of)? / error(over)?)
-        })
-        .filter(|ratio| ratio.is_finite() && *ratio > 0.0)
-        .collect();
+    let ratios = conditions.iter().filter_map(|c| {
+        let error = |name: &str| Some(c.methods.get(name)?.path_nrmse_ratio);
+        Some(error(of)? / error(over)?)
+    });
+    let usable = |ratio: &f64| ratio.is_finite() && *ratio > 0.0;
+    let ratios: Vec<f64> = ratios.filter(usable).collect();
     if ratios.is_empty() {
         return None;
     }
     let logs: f64 = ratios.iter().map(|ratio| ratio.ln()).sum();
-    Some((
-        (logs / ratios.len() as f64).exp(),
-        ratios.iter().copied().fold(f64::INFINITY, f64::min),
-        ratios.iter().copied().fold(0.0, f64::max),
-    ))
+    let mean = (logs / ratios.len() as f64).exp();
+    let least = ratios.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = ratios.iter().copied().fold(0.0, f64::max);
+    Some((mean, least, most))
 }
 
 fn verdict(ratio: f64) -> &'static str {

@@ -7,23 +7,25 @@
 mod cell;
 mod findings;
 mod page;
-mod rigid;
 mod steps;
 
-use crate::records::Records;
-use crate::{Outcome, Progress, StudyError};
+use crate::{Outcome, Progress, Records, StudyError, unsupported};
 use cell::{Bench, ROWS};
 pub use cell::{Cell, CellRecord, FRICTIONS, FrictionKind, MethodDraw};
 use foretorque::arm::ur5::JOINTS;
+use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::metrics::root_mean;
 use foretorque_workbench::parallel::cores;
 use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::Robot;
+use foretorque_workbench::table::write_motion;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
+use steps::Sample;
 pub use steps::{JointTorque, ParameterRow, Steps, Trained};
 
 /// Runs the study; its tables, pictures and times go to `out`. `None` if the records are only written.
@@ -37,7 +39,7 @@ pub fn run(
 ) -> Result<Option<Outcome<PaperReport>>, StudyError> {
     let robot = Robot::load("ur5")?;
     config.excitation.check(&robot)?;
-    let bench = Bench::new(robot, &config.excitation, ROWS).ok_or(StudyError::Joints(JOINTS))?;
+    let bench = Bench::new(robot, &config.excitation, ROWS).ok_or_else(|| unsupported(JOINTS))?;
     let made_of = PaperConfig {
         seed: 0,
         seeds: 0,
@@ -193,6 +195,19 @@ impl Condition {
     }
 }
 
+/// The conditions with the most rows: those of the robustness study.
+fn on_all_rows(conditions: &[Condition]) -> Vec<&Condition> {
+    let full = conditions.iter().map(|c| c.rows).max().unwrap_or(0);
+    conditions.iter().filter(|c| c.rows == full).collect()
+}
+
+/// The conditions of the efficiency study by their number of rows.
+fn by_rows(conditions: &[Condition]) -> Vec<&Condition> {
+    let mut plain: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
+    plain.sort_by_key(|c| c.rows);
+    plain
+}
+
 /// One method in one condition.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MethodSummary {
@@ -215,6 +230,31 @@ pub struct Times {
     pub note: &'static str,
     /// Method, then rows and seconds.
     pub least_seconds: BTreeMap<String, Vec<(usize, f64)>>,
+}
+
+/// Curves that are drawn and written as tables.
+#[derive(Clone, Debug)]
+struct Curves {
+    /// Epoch, loss on training and on held-out rows, for plain and accelerated descent.
+    losses: [Vec<(usize, f64, f64)>; 2],
+    /// Epoch and loss of the black box.
+    black_box: Vec<(usize, f64)>,
+    /// The training data.
+    data: Vec<Sample>,
+    /// Time, motion, true torque, that of the network with physical weights, that of the black box.
+    path: Vec<(f64, State<JOINTS>, [Joints<JOINTS>; 3])>,
+}
+
+impl Curves {
+    /// Writes the training data (steps 1 and 2) and the arbitrary path (step 4) as tables.
+    fn write(&self, out: &Path) -> io::Result<()> {
+        let data = self.data.iter();
+        let data = data.map(|(t_s, state, tau)| (*t_s, *state, [*tau]));
+        write_motion(&out.join("training.csv"), ["tau"], data)?;
+        let torques = ["tau", "bp_physical", "bp_black_box"];
+        let path = self.path.iter().copied();
+        write_motion(&out.join("validation.csv"), torques, path)
+    }
 }
 
 /// The conditions in the order of the jobs.

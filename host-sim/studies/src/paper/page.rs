@@ -2,8 +2,7 @@
 
 use super::cell::{FRICTIONS, FrictionKind};
 use super::findings::{of_times, percent};
-use super::rigid::Curves;
-use super::{Condition, PaperReport, Times};
+use super::{Condition, Curves, PaperReport, Times, by_rows, on_all_rows};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};
 use foretorque_workbench::report::page::{Legend, Page, Section, or_dash};
@@ -42,58 +41,27 @@ pub(super) fn pictures(
     curves: &Curves,
 ) -> Result<[(&'static str, String); 5], PlotError> {
     let draw = |title, legend: &[(PlotColor, &str)], panels: &[Panel], columns, size| {
-        let legend: Legend = legend
-            .iter()
-            .map(|(c, name)| (*c, (*name).to_owned()))
-            .collect();
-        picture(title, &legend, panels, columns, size)
+        let legend = legend.iter().map(|(c, name)| (*c, (*name).to_owned()));
+        picture(title, &legend.collect::<Legend>(), panels, columns, size)
     };
     let methods = METHODS.map(|(name, color)| (color, name));
+    let excitation = excitation_picture(&report.config.excitation)?;
+    let title = "Predicted moments for each joint at the validation trajectory (Fig. 6)";
+    let torques = draw(title, &PATH_LEGEND, &path_panels(curves), 2, (640, 290))?;
+    let title = "Loss (RMSE, eq. 20) while the networks train";
+    let loss = draw(title, &LOSS_LEGEND, &[loss_panel(curves)], 1, (900, 300))?;
+    let title = "Torque error on unseen paths over noise, friction and outliers";
+    let panels = robustness_panels(&report.conditions);
+    let robustness = draw(title, &methods, &panels, 3, (420, 290))?;
+    let title = "Torque error on unseen paths over training rows (1 % noise, Coulomb + viscous)";
+    let panels = [efficiency_panel(&report.conditions)];
+    let efficiency = draw(title, &methods, &panels, 1, (900, 300))?;
     Ok([
-        (
-            "fig3-excitation.svg",
-            excitation_picture(&report.config.excitation)?,
-        ),
-        (
-            "fig6-predicted-torques.svg",
-            draw(
-                "Predicted moments for each joint at the validation trajectory (Fig. 6)",
-                &PATH_LEGEND,
-                &path_panels(curves),
-                2,
-                (640, 290),
-            )?,
-        ),
-        (
-            "training-loss.svg",
-            draw(
-                "Loss (RMSE, eq. 20) while the networks train",
-                &LOSS_LEGEND,
-                &[loss_panel(curves)],
-                1,
-                (900, 300),
-            )?,
-        ),
-        (
-            "robustness.svg",
-            draw(
-                "Torque error on unseen paths over noise, friction and outliers",
-                &methods,
-                &robustness_panels(&report.conditions),
-                3,
-                (420, 290),
-            )?,
-        ),
-        (
-            "efficiency.svg",
-            draw(
-                "Torque error on unseen paths over training rows (1 % noise, Coulomb + viscous)",
-                &methods,
-                &[efficiency_panel(&report.conditions)],
-                1,
-                (900, 300),
-            )?,
-        ),
+        ("fig3-excitation.svg", excitation),
+        ("fig6-predicted-torques.svg", torques),
+        ("training-loss.svg", loss),
+        ("robustness.svg", robustness),
+        ("efficiency.svg", efficiency),
     ])
 }
 
@@ -194,25 +162,17 @@ fn of_steps(report: &PaperReport, curves: &Curves, times: &Times) -> [Section; 4
 
 /// Robustness, efficiency, parameters.
 fn of_conditions(report: &PaperReport, times: &Times) -> [Section; 3] {
-    let full = report.conditions.iter().map(|c| c.rows).max().unwrap_or(0);
-    let conditions = report.conditions.iter().filter(|c| c.rows == full);
-    let robustness = conditions.map(|c| {
+    let robustness = on_all_rows(&report.conditions).into_iter().map(|c| {
         let mut row = vec![format!(
             "{}, {} % noise, {} % outliers",
             c.friction.name(),
             c.noise_percent,
             c.outlier_percent
         )];
-        let methods = METHODS.iter().map(|(name, _)| c.methods.get(*name));
-        row.extend(
-            methods.map(|method| or_dash(method, |method| percent(method.path_nrmse_ratio))),
-        );
+        row.extend(errors(c).map(|error| or_dash(error, percent)));
         row
     });
-    let names: String = METHODS
-        .iter()
-        .map(|(name, _)| format!(" | {name}"))
-        .collect();
+    let names = method_names();
     let counts = times.least_seconds.values().next().into_iter().flatten();
     let counts: String = counts.map(|(rows, _)| format!(" | {rows} rows")).collect();
     let seconds = METHODS.iter().filter_map(|(name, _)| {
@@ -257,15 +217,22 @@ fn of_conditions(report: &PaperReport, times: &Times) -> [Section; 3] {
     ]
 }
 
+/// The torque error of every method on unseen paths.
+fn errors(condition: &Condition) -> [Option<f64>; METHODS.len()] {
+    METHODS.map(|(name, _)| Some(condition.methods.get(name)?.path_nrmse_ratio))
+}
+
+/// Columns of a table, one a method.
+fn method_names() -> String {
+    METHODS.map(|(name, _)| format!(" | {name}")).concat()
+}
+
 /// Findings, and the errors of every condition, %.
 pub(super) fn text(report: &PaperReport) -> String {
-    let full = report.conditions.iter().map(|c| c.rows).max().unwrap_or(0);
     let errors = |c: &Condition| {
-        let errors = METHODS.map(|(name, _)| c.methods.get(name).map(|m| m.path_nrmse_ratio));
-        errors.map(|error| or_dash(error, |error| significant(100.0 * error, 3)))
+        errors(c).map(|error| or_dash(error, |error| significant(100.0 * error, 3)))
     };
-    let grid = report.conditions.iter().filter(|c| c.rows == full);
-    let grid = grid.map(|c| {
+    let grid = on_all_rows(&report.conditions).into_iter().map(|c| {
         let condition = [
             c.friction.name().to_owned(),
             c.outlier_percent.to_string(),
@@ -273,15 +240,9 @@ pub(super) fn text(report: &PaperReport) -> String {
         ];
         condition.into_iter().chain(errors(c))
     });
-    let mut plain: Vec<&Condition> = report.conditions.iter().filter(|c| c.is_plain()).collect();
-    plain.sort_by_key(|c| c.rows);
-    let plain = plain
-        .into_iter()
-        .map(|c| std::iter::once(c.rows.to_string()).chain(errors(c)));
-    let names: String = METHODS
-        .iter()
-        .map(|(name, _)| format!(" | {name}"))
-        .collect();
+    let plain = by_rows(&report.conditions).into_iter();
+    let plain = plain.map(|c| std::iter::once(c.rows.to_string()).chain(errors(c)));
+    let names = method_names();
     let findings: String = report.findings.iter().map(|f| format!("- {f}\n")).collect();
     format!(
         "host-sim experiment paper, {} draws of each condition\n\nFindings\n{findings}\n\
@@ -327,7 +288,7 @@ fn loss_panel(curves: &Curves) -> Panel {
 
 /// A panel for each friction and share of outliers, noise along x.
 fn robustness_panels(conditions: &[Condition]) -> Vec<Panel> {
-    let full = conditions.iter().map(|c| c.rows).max().unwrap_or(0);
+    let grid = on_all_rows(conditions);
     let mut outliers: Vec<f64> = conditions.iter().map(|c| c.outlier_percent).collect();
     outliers.sort_by(f64::total_cmp);
     outliers.dedup();
@@ -335,10 +296,8 @@ fn robustness_panels(conditions: &[Condition]) -> Vec<Panel> {
         .iter()
         .flat_map(|outlier| FRICTIONS.map(|friction| (*outlier, friction)));
     let panel = |(outlier_percent, friction): (f64, FrictionKind)| {
-        let own = |c: &&Condition| {
-            c.rows == full && c.friction == friction && c.outlier_percent == outlier_percent
-        };
-        let own: Vec<&Condition> = conditions.iter().filter(own).collect();
+        let mut own = grid.clone();
+        own.retain(|c| c.friction == friction && c.outlier_percent == outlier_percent);
         let panel = Panel::new(
             format!("{}, {outlier_percent} % outliers", friction.name()),
             "noise / % of torque limit",
@@ -352,13 +311,11 @@ fn robustness_panels(conditions: &[Condition]) -> Vec<Panel> {
 
 /// Error over the number of training rows.
 fn efficiency_panel(conditions: &[Condition]) -> Panel {
-    let mut own: Vec<&Condition> = conditions.iter().filter(|c| c.is_plain()).collect();
-    own.sort_by_key(|c| c.rows);
     Panel::new(
         "1 % noise, Coulomb + viscous",
         "log10 training rows (six torques each)",
         "log10 NRMSE / %",
-        method_curves(&own, |c| (c.rows as f64).log10()),
+        method_curves(&by_rows(conditions), |c| (c.rows as f64).log10()),
     )
 }
 

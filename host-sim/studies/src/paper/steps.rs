@@ -1,19 +1,18 @@
 //! The paper's steps (1) to (4): known parameters, no friction, no rotors, no noise, 36 base parameters.
 
+use super::Curves;
 use super::cell::ROWS;
-use super::rigid::Curves;
-use super::rigid::{RigidBody, Rows, Sample};
-use crate::StudyError;
+use crate::{StudyError, unsupported};
 use foretorque::arm::ur5::JOINTS;
-use foretorque_workbench::dynamics::{Joints, Motion, PerJoint, State};
+use foretorque_workbench::dynamics::{Joints, Motion, PerJoint, ReferenceModel, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{ColumnSet, Layout};
 use foretorque_workbench::kinematics::Inverse;
 use foretorque_workbench::metrics::{TorqueError, root_mean};
-use foretorque_workbench::robot::{Placement, Robot};
+use foretorque_workbench::robot::{LINK_PARAMETERS, Placement, Robot};
 use foretorque_workbench::training::{BlackBox, Descent, LinearLayer, PhysicalConfig};
 use foretorque_workbench::trajectory::Trajectory;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -44,7 +43,7 @@ pub struct Steps {
     /// Base parameters: the weights of the network with physical weights.
     pub base_parameters: usize,
     /// The ways to train, least squares first.
-    pub trained: Vec<Trained>,
+    pub trained: [Trained; 4],
     /// Parameters of the accelerated network against the truth.
     pub parameters: Vec<ParameterRow>,
     /// (4) Joint by joint on the arbitrary path.
@@ -104,30 +103,38 @@ pub(super) fn run(
     excitation: &Excitation,
     seed: u64,
 ) -> Result<(Steps, Curves), StudyError> {
-    let model = RigidBody::new(robot).ok_or(StudyError::Joints(JOINTS))?;
+    let model = RigidBody::new(robot).ok_or_else(|| unsupported(JOINTS))?;
     let (data, poses, ik_error) = joint_sequence(robot, excitation, &model)?;
     let known = Known::new(&model, &data, arbitrary_path(robot, seed), seed);
     let [plain, fast] = [Descent::Plain, Descent::Accelerated].map(|way| known.physical(way, seed));
-    let network = BlackBox::train(&known.samples(), seed, &mut |_, _| ());
-    let trained = vec![
+    let samples = known.training.iter().map(|(_, state, tau)| {
+        let moving: PerJoint<bool> = [true; JOINTS].into();
+        ((*state).into(), (*tau).into(), moving)
+    });
+    let samples: Vec<(Motion, PerJoint<f64>, _)> = samples.collect();
+    let network = BlackBox::train(&samples, seed, &mut |_, _| ());
+    let trained = [
         known.linear("least squares", 1, &known.least_squares()?),
         known.linear("bp_physical, gradient descent (eq. 21)", plain.1, &plain.0),
         known.linear("bp_physical, accelerated", fast.1, &fast.0),
         known.black_box("bp_black_box, 18-32-6 ReLU", &network),
     ];
     let path = known.path.iter().zip(&known.path_truth);
-    let path: Vec<_> = path
-        .map(|((t_s, state), truth)| {
-            let box_torque = Joints::from(network.torque(&(*state).into()));
-            (
-                *t_s,
-                *state,
-                [*truth, model.torque(state, &fast.0), box_torque],
-            )
-        })
-        .collect();
+    let path = path.map(|((t_s, state), truth)| {
+        let by_network = Joints::from(network.torque(&(*state).into()));
+        let torques = [*truth, model.torque(state, &fast.0), by_network];
+        (*t_s, *state, torques)
+    });
+    let path: Vec<_> = path.collect();
     let layout = Layout::new(robot, &ColumnSet::plain());
     let values = model.truth.iter().zip(&fast.0);
+    let parameters = layout.parameters.iter().zip(values);
+    let parameters = parameters.map(|(parameter, (truth, value))| ParameterRow {
+        name: parameter.name.clone(),
+        unit: parameter.unit,
+        truth: *truth,
+        value: *value,
+    });
     let steps = Steps {
         inverse_kinematics_poses: poses,
         inverse_kinematics_error_rad: ik_error,
@@ -135,17 +142,7 @@ pub(super) fn run(
         validation_rows: known.validation.len(),
         base_parameters: model.columns.len(),
         trained,
-        parameters: layout
-            .parameters
-            .iter()
-            .zip(values)
-            .map(|(parameter, (truth, value))| ParameterRow {
-                name: parameter.name.clone(),
-                unit: parameter.unit,
-                truth: *truth,
-                value: *value,
-            })
-            .collect(),
+        parameters: parameters.collect(),
         joints: (0..JOINTS).map(|j| joint_torque(&path, j)).collect(),
     };
     let curves = Curves {
@@ -200,19 +197,12 @@ impl<'m> Known<'m> {
         }
     }
 
-    /// The training rows as the black box takes them.
-    fn samples(&self) -> Vec<(Motion, PerJoint<f64>, PerJoint<bool>)> {
-        let rows = self.training.iter();
-        rows.map(|(_, state, tau)| ((*state).into(), (*tau).into(), [true; JOINTS].into()))
-            .collect()
-    }
-
     fn least_squares(&self) -> Result<DVector<f64>, StudyError> {
         let qr = self.rows.y.clone().qr();
         let moment = qr.q().tr_mul(&self.rows.tau);
         qr.r().solve_upper_triangular(&moment).ok_or_else(|| {
             let reason = "the excitation does not show all base parameters";
-            StudyError::Unusable(reason.to_owned())
+            StudyError::from(reason.to_owned())
         })
     }
 
@@ -242,12 +232,13 @@ impl<'m> Known<'m> {
     }
 
     fn linear(&self, name: &'static str, epochs: usize, theta: &DVector<f64>) -> Trained {
+        let truth = &self.model.truth;
         Trained {
             name,
             epochs,
             training_loss_ratio: self.rows.loss(theta),
             validation_loss_ratio: self.held.loss(theta),
-            base_parameter_error_ratio: Some(self.model.error_ratio(theta)),
+            base_parameter_error_ratio: Some((theta - truth).norm() / truth.norm()),
             path_nrmse_ratio: self.error_on_path(|state| self.model.torque(state, theta)),
         }
     }
@@ -287,8 +278,8 @@ fn joint_sequence(
     excitation: &Excitation,
     model: &RigidBody,
 ) -> Result<(Vec<Sample>, usize, f64), StudyError> {
-    let inverse =
-        Inverse::<JOINTS>::new(robot, &Placement::identity()).ok_or(StudyError::Joints(JOINTS))?;
+    let inverse = Inverse::<JOINTS>::new(robot, &Placement::identity());
+    let inverse = inverse.ok_or_else(|| unsupported(JOINTS))?;
     let ticks = (excitation.period_s / TICK_S).round() as usize;
     let every = (ticks / ROWS).max(1);
     let mut data = Vec::with_capacity(ROWS);
@@ -297,9 +288,9 @@ fn joint_sequence(
         let t_s = tick as f64 * TICK_S;
         let series = excitation.at::<JOINTS>(t_s);
         let pose = inverse.chain().forward(&series.q);
-        let q = inverse
-            .onwards(&pose, &predicted, JUMP_RAD)
-            .map_err(|error| StudyError::Unusable(format!("excitation at {t_s:.3} s: {error}")))?;
+        let q = inverse.onwards(&pose, &predicted, JUMP_RAD);
+        let q =
+            q.map_err(|error| StudyError::from(format!("excitation at {t_s:.3} s: {error}")))?;
         worst = worst.max((q - series.q).amax());
         predicted = q + (series.qd + series.qdd * (0.5 * TICK_S)) * TICK_S;
         if tick % every == 0 {
@@ -321,10 +312,8 @@ fn joint_torque(path: &[(f64, State<JOINTS>, [Joints<JOINTS>; 3])], j: usize) ->
         root_mean(path.iter().map(|(_, _, tau)| value(tau).powi(2)))
     };
     let peak = |of: usize| {
-        let errors = path
-            .iter()
-            .map(|(_, _, tau)| (tau[of][j] - tau[0][j]).abs());
-        errors.fold(0.0, f64::max)
+        let errors = path.iter().map(|(_, _, tau)| tau[of][j] - tau[0][j]);
+        errors.map(f64::abs).fold(0.0, f64::max)
     };
     JointTorque {
         torque_rms_nm: rms(&|tau| tau[0][j]),
@@ -332,5 +321,69 @@ fn joint_torque(path: &[(f64, State<JOINTS>, [Joints<JOINTS>; 3])], j: usize) ->
         bp_physical_peak_nm: peak(1),
         bp_black_box_rmse_nm: rms(&|tau| tau[2][j] - tau[0][j]),
         bp_black_box_peak_nm: peak(2),
+    }
+}
+
+/// Time, s, motion and torque, N·m.
+pub(super) type Sample = (f64, State<JOINTS>, Joints<JOINTS>);
+
+/// The linear rows of some states: every joint's rows over its RMS torque.
+struct Rows {
+    y: DMatrix<f64>,
+    tau: DVector<f64>,
+}
+
+impl Rows {
+    fn loss(&self, theta: &DVector<f64>) -> f64 {
+        ((&self.y * theta - &self.tau).norm_squared() / self.tau.len() as f64).sqrt()
+    }
+}
+
+/// The rigid body of the links alone, and the columns of its base parameters.
+struct RigidBody {
+    dynamics: ReferenceModel<JOINTS>,
+    columns: Vec<usize>,
+    truth: DVector<f64>,
+}
+
+impl RigidBody {
+    fn new(robot: &Robot) -> Option<Self> {
+        let mut links = robot.clone();
+        for joint in &mut links.joints {
+            joint.drive.rotor_inertia = 0.0;
+        }
+        let map = links.base_map();
+        let mut columns = map.columns.clone();
+        columns.retain(|column| *column < LINK_PARAMETERS * JOINTS);
+        // Rotors come last, and without them nothing of a rotor hides in a link's parameter.
+        let truth = map.base_parameters(&links);
+        Some(Self {
+            dynamics: ReferenceModel::new(&links)?,
+            truth: DVector::from_column_slice(&truth[..columns.len()]),
+            columns,
+        })
+    }
+
+    /// Columns of the base parameters at `state`, 6 × 36.
+    fn regressor(&self, state: &State<JOINTS>) -> DMatrix<f64> {
+        self.dynamics.regressor(state).select_columns(&self.columns)
+    }
+
+    fn rows(&self, data: &[Sample], scale: &Joints<JOINTS>) -> Rows {
+        let mut y = DMatrix::zeros(data.len() * JOINTS, self.columns.len());
+        let mut tau = DVector::zeros(data.len() * JOINTS);
+        for (k, (_, state, torque)) in data.iter().enumerate() {
+            let block = self.regressor(state);
+            for j in 0..JOINTS {
+                let row = block.row(j) / scale[j];
+                y.row_mut(k * JOINTS + j).copy_from(&row);
+                tau[k * JOINTS + j] = torque[j] / scale[j];
+            }
+        }
+        Rows { y, tau }
+    }
+
+    fn torque(&self, state: &State<JOINTS>, theta: &DVector<f64>) -> Joints<JOINTS> {
+        Joints::from_column_slice((self.regressor(state) * theta).as_slice())
     }
 }

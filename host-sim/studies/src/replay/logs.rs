@@ -1,7 +1,7 @@
 //! The logs row by row, with the torques of batch least squares on the other paths; squared errors of the moving rows.
 
 use super::record::{GATE_RAD_S, PathScores, Predictions};
-use crate::real_ur5::{columns, geometric_mean};
+use crate::real_ur5::geometric_mean;
 use crate::{Progress, StudyError};
 use foretorque::joint::{JointMeasurement, JointVector};
 use foretorque_workbench::dynamics::State;
@@ -40,7 +40,6 @@ fn filters(period_s: f64) -> PrepareConfig {
     }
 }
 
-/// One row of a log.
 pub(super) struct Row<const N: usize> {
     /// As the drives reported it, unfiltered.
     pub(super) measured: JointMeasurement<N>,
@@ -86,7 +85,7 @@ pub(super) fn read<const N: usize>(
         let own = WholeLog::open(file, robot)?.period_s();
         let first = *period_s.get_or_insert(own);
         if (own / first - 1.0).abs() > 0.05 {
-            return Err(StudyError::Unusable(format!(
+            return Err(StudyError::from(format!(
                 "{}: rows {:.2} ms apart, those of the first log {:.2} ms: replay them one by one",
                 file.display(),
                 1e3 * own,
@@ -94,33 +93,26 @@ pub(super) fn read<const N: usize>(
             )));
         }
     }
-    let period_s = period_s.ok_or_else(|| StudyError::Unusable("no log".to_owned()))?;
+    let period_s = period_s.ok_or_else(|| StudyError::from("no log".to_owned()))?;
     let prepare = filters(period_s);
     let (columns_found, references) = references(paths, robot, (prepare, seed), progress)?;
-    let missing = COLUMNS
-        .iter()
-        .take_while(|text| Some(**text) != columns_found);
+    let missing = COLUMNS.iter();
+    let missing = missing.take_while(|text| Some(**text) != columns_found);
     notes.extend(missing.map(|text| format!("the logs do not show all columns of {text}")));
     let mut stretches = Vec::new();
     for (number, path) in paths.iter().enumerate() {
         let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
         let mut prepared = Vec::new();
         for ((text, thetas), found) in references.iter().zip(&mut found) {
-            let layout = Layout::new(robot, &columns(text)?);
+            let layout = Layout::new(robot, &text.parse()?);
             prepared.clear();
             let mut own = Vec::new();
             for file in &path.files {
-                for_each_prepared(
-                    file,
-                    robot,
-                    &layout,
-                    &prepare,
-                    &mut own,
-                    &mut |preparation, stretch| {
-                        found.push(predictions(&layout, &thetas[number], &stretch));
-                        prepared.push((file.clone(), preparation.clone(), stretch));
-                    },
-                )?;
+                let mut take = |preparation: &Preparation, stretch: Prepared| {
+                    found.push(predictions(&layout, &thetas[number], &stretch));
+                    prepared.push((file.clone(), preparation.clone(), stretch));
+                };
+                for_each_prepared(file, robot, &layout, &prepare, &mut own, &mut take)?;
             }
             own.retain(|note| !notes.contains(note));
             notes.extend(own);
@@ -168,18 +160,17 @@ fn references(
         let others = paths.iter().enumerate();
         let others = others.filter(|(other, _)| *other != number || paths.len() == 1);
         let training: Vec<PathBuf> = others.flat_map(|(_, path)| path.files.clone()).collect();
-        batch(
-            robot,
-            (&training, &paths[number].files[..1]),
-            text,
-            prepare,
-            seed,
-        )
+        let logs = (&training[..], &paths[number].files[..1]);
+        batch(robot, logs, text, prepare, seed)
+    };
+    let deficient = |error: &StudyError| {
+        let error = error.downcast_ref();
+        matches!(error, Some(IdentifyError::RankDeficient(..)))
     };
     // None if the logs do not show the parameters.
     let fits = |text: &str| -> Result<Option<Vec<Vec<f64>>>, StudyError> {
         match (0..paths.len()).map(|number| fit(text, number)).collect() {
-            Err(StudyError::Identify(IdentifyError::RankDeficient(..))) => Ok(None),
+            Err(error) if deficient(&error) => Ok(None),
             fitted => fitted.map(Some),
         }
     };
@@ -191,7 +182,7 @@ fn references(
         }
     }
     let mut described = robot.base_parameters();
-    described.resize(Layout::new(robot, &columns(PLAIN)?).parameters.len(), 0.0);
+    described.resize(Layout::new(robot, &PLAIN.parse()?).parameters.len(), 0.0);
     let described = (PLAIN, vec![described; paths.len()]);
     Ok((None, [described.clone(), described]))
 }
@@ -204,7 +195,7 @@ fn batch(
     prepare: PrepareConfig,
     seed: u64,
 ) -> Result<Vec<f64>, StudyError> {
-    let config = IdentifyConfig::new(vec![MethodName::Wls], columns(text)?, prepare, seed);
+    let config = IdentifyConfig::new(vec![MethodName::Wls], text.parse()?, prepare, seed);
     let outcome = identify(robot, training, held_out, &config, &|_| ())?;
     let record = outcome.report.methods.get(&MethodName::Wls.to_string());
     let parameters = record.ok_or(IdentifyError::Unsolvable)?.parameters.iter();
@@ -221,11 +212,8 @@ fn predictions<const N: usize>(
     rows.map(|row| {
         std::array::from_fn(|joint| {
             let columns = row[layout.offset[joint]..].iter();
-            let active = layout.active[joint].iter();
-            columns
-                .zip(active)
-                .map(|(x, &place)| x * theta[place])
-                .sum()
+            let terms = columns.zip(&layout.active[joint]);
+            terms.map(|(x, &place)| x * theta[place]).sum()
         })
     })
     .collect()
@@ -265,12 +253,10 @@ impl<const N: usize> Errors<N> {
         self.0.iter().map(ErrorSums::rmse).collect()
     }
 
-    /// RMS error over another one's.
     pub(super) fn over(&self, other: &Self) -> Vec<Option<f64>> {
         let pairs = self.0.iter().zip(&other.0);
-        pairs
-            .map(|(own, other)| Some(own.rmse()? / other.rmse()?))
-            .collect()
+        let ratios = pairs.map(|(own, other)| Some(own.rmse()? / other.rmse()?));
+        ratios.collect()
     }
 }
 
@@ -321,15 +307,14 @@ impl<const N: usize> Scores<N> {
     ) {
         let squares = |torques: &[f64], k: usize| -> f64 {
             let row = &stretch.rows[k];
-            let joints =
-                moving(row).map(|joint| (torques[k * N + joint] - row.tau[joint]) / limits[joint]);
-            joints.map(|share| share * share).sum()
+            let error = |joint: usize| torques[k * N + joint] - row.tau[joint];
+            let shares = moving(row).map(|joint| error(joint) / limits[joint]);
+            shares.map(|share| share * share).sum()
         };
         for begin in (0..stretch.rows.len().saturating_sub(rows)).step_by((rows / 4).max(1)) {
-            let sum = |torques: &[f64]| {
-                (begin..begin + rows)
-                    .map(|k| squares(torques, k))
-                    .sum::<f64>()
+            let sum = |torques: &[f64]| -> f64 {
+                let squares = (begin..begin + rows).map(|k| squares(torques, k));
+                squares.sum()
             };
             let (newest, start) = (sum(&predicted.newest), sum(&predicted.frozen));
             if start > 0.0 {
@@ -365,9 +350,8 @@ pub(super) fn motion_until_close<const N: usize>(
     window: f64,
     close: f64,
 ) -> Option<usize> {
-    let in_motion: Vec<usize> = (0..stretch.rows.len())
-        .filter(|&k| moving(&stretch.rows[k]).next().is_some())
-        .collect();
+    let moves = |&k: &usize| moving(&stretch.rows[k]).next().is_some();
+    let in_motion: Vec<usize> = (0..stretch.rows.len()).filter(moves).collect();
     let window = window as usize;
     // The window must end after the learner has had the time: what counts is motion before the window begins.
     (0..in_motion.len().saturating_sub(window)).find(|&begin| {

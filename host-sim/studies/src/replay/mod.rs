@@ -141,11 +141,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Predictions {
     let start = board.start;
     let loaded = FeedForwardState::new(start.set);
-    let mut predicted = Predictions {
-        newest: Vec::new(),
-        aged: Vec::new(),
-        frozen: Vec::new(),
-    };
+    let mut predicted = Predictions::default();
     let mut before: Option<JointMeasurement<N>> = None;
     // What follows does not join on to what came before.
     board.tick(None);
@@ -174,11 +170,12 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         }
         before = Some(row.measured);
     }
-    for torques in [
-        &mut predicted.newest,
-        &mut predicted.aged,
-        &mut predicted.frozen,
-    ] {
+    let Predictions {
+        newest,
+        aged,
+        frozen,
+    } = &mut predicted;
+    for torques in [newest, aged, frozen] {
         stretch.preparation.smooth_torque(torques, N);
     }
     predicted
@@ -197,11 +194,8 @@ pub fn real_ur5(
         name: (*name).to_owned(),
         files: files.iter().map(|file| directory.join(file)).collect(),
     });
-    let start = (
-        "data sheet",
-        ParameterSet::nominal::<Ur5>(1),
-        StartDeviations::PRIOR,
-    );
+    let nominal = ParameterSet::nominal::<Ur5>(1);
+    let start = ("data sheet", nominal, StartDeviations::PRIOR);
     let robot = Robot::load("ur5")?;
     let paths: Vec<ReplayPath> = paths.collect();
     // The clocks of these logs have lost rows; the controller's period is known.
@@ -253,35 +247,31 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         scores[stretch.path].watch(stretch, &predicted, rows, &limits);
     }
     let within = within_1_1::<A, N, P>(&stretches, paths.len(), &start, progress)?;
-    let after_others = match paths.len() {
-        1 => None,
-        count => Some(after_others::<A, N, P>(
-            &stretches, count, &start, progress,
-        )?),
+    let (after_others, others) = match paths.len() {
+        1 => (None, "the same path"),
+        count => {
+            let ratio = after_others::<A, N, P>(&stretches, count, &start, progress)?;
+            (Some(ratio), "other paths")
+        }
     };
     let (ticks, clipped) = (board.ticks, board.clipped);
     let rows_accepted = board.learner.state().statistics.accepted;
     let decisions = board.decisions.clone();
-    let others = match paths.len() {
-        1 => "the same path",
-        _ => "other paths",
-    };
     let reference = match logs.columns {
         Some(columns) => format!("wls, {columns}, {others}"),
         None => "the description without friction".to_owned(),
     };
     let fitted = logs.columns.is_some();
-    let paths: Vec<PathScores> = paths
-        .iter()
-        .zip(&scores)
-        .zip(&within)
-        .map(|((path, scores), within)| scores.record(&path.name, *within))
-        .collect();
+    let paths = paths.iter().zip(&scores).zip(&within);
+    let paths = paths.map(|((path, scores), within)| scores.record(&path.name, *within));
+    let paths: Vec<PathScores> = paths.collect();
     let mean = |pick: &dyn Fn(&Scores<N>) -> Vec<Option<f64>>| {
         let ratios: Vec<f64> = scores.iter().flat_map(pick).flatten().collect();
         (!ratios.is_empty()).then(|| geometric_mean(&ratios))
     };
     let plain = |pick| mean(pick).filter(|_| fitted);
+    let windows = scores.iter().filter_map(|scores| scores.worst_window);
+    let worst = within.iter().copied().reduce(|a, b| Some(a?.max(b?)));
     let report = ReplayReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         robot: robot.name.clone(),
@@ -289,21 +279,14 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         notes: logs.notes,
         period_s,
         reference,
-        worst_window_over_start_ratio: scores
-            .iter()
-            .filter_map(|scores| scores.worst_window)
-            .reduce(f64::max),
+        worst_window_over_start_ratio: windows.reduce(f64::max),
         newest_vs_rich_wls_ratio: mean(&|s| s.newest.over(&s.rich)),
         aged_10_s_vs_rich_wls_ratio: mean(&|s| s.aged.over(&s.rich_aged)),
         aged_10_s_after_other_paths_vs_rich_wls_ratio: after_others,
         frozen_vs_rich_wls_ratio: mean(&|s| s.frozen.over(&s.rich)),
         plain_wls_vs_rich_wls_ratio: plain(&|s| s.plain.over(&s.rich)),
         aged_10_s_vs_plain_wls_ratio: plain(&|s| s.aged.over(&s.plain_aged)),
-        within_1_1_worst_s: within
-            .iter()
-            .copied()
-            .reduce(|a, b| Some(a?.max(b?)))
-            .flatten(),
+        within_1_1_worst_s: worst.flatten(),
         decisions,
         learned_clipped_ticks_count: clipped,
         torque_at_30_rad_s2_over_limit_ratio: board.extrapolated(),

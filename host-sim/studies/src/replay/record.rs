@@ -92,6 +92,7 @@ pub struct ReplayReport {
 
 /// Torques of the parameters as they were before each row, of older ones, and of the data sheet, through the filter of
 /// the figures.
+#[derive(Default)]
 pub(super) struct Predictions {
     pub(super) newest: Vec<f64>,
     pub(super) aged: Vec<f64>,
@@ -119,37 +120,28 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         "Error over that of the reference ({}), joints that move faster than 0.05 rad/s, filtered torque.",
         report.reference
     );
-    let page = Page::new(
-        format!("{}, learnt row by row from its logs", report.robot),
-        lead,
-    );
-    let page = cards.iter().fold(page, |page, (value, label)| {
-        page.card(ratio(*value), *label)
-    });
-    let joints = report
-        .paths
-        .first()
-        .map_or(0, |path| path.newest_ratio.len());
+    let title = format!("{}, learnt row by row from its logs", report.robot);
+    let mut page = Page::new(title, lead);
+    for (value, label) in cards {
+        page = page.card(ratio(value), label);
+    }
+    let first = report.paths.first();
+    let joints = first.map_or(0, |path| path.newest_ratio.len());
     let header: String = (1..=joints).map(|joint| format!(" | J{joint}")).collect();
     let header = format!("path{header}");
     let of_joints = |heading: &str, pick: fn(&PathScores) -> &[Option<f64>]| {
-        Section::new(heading, "Error over the reference's.").table(
-            header.clone(),
-            joint_rows(&report.paths, |path| &path.path, pick),
-        )
+        let rows = joint_rows(&report.paths, |path| &path.path, pick);
+        Section::new(heading, "Error over the reference's.").table(header.clone(), rows)
     };
     let within = report.paths.iter();
     let within = within.map(|path| {
         let window = ratio(path.worst_window_over_start_ratio);
         [path.path.clone(), ratio(path.within_1_1_after_s), window]
     });
-    let decisions = report.decisions.iter().map(|decision| {
-        [
-            format!("{:.2}", decision.t_s),
-            decision.reason.clone(),
-            decision.joint.map_or("–".to_owned(), |j| format!("J{j}")),
-            format!("{:.3}", decision.figure),
-        ]
+    let decisions = report.decisions.iter().map(|own| {
+        let joint = own.joint.map_or("–".to_owned(), |j| format!("J{j}"));
+        let (t_s, figure) = (format!("{:.2}", own.t_s), format!("{:.3}", own.figure));
+        [t_s, own.reason.clone(), joint, figure]
     });
     let page = page.sections([
         of_joints("Parameters 10 s old", |path| &path.aged_ratio),
@@ -169,10 +161,8 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         .iter()
         .map(|(value, label)| format!("{label:<56} {} × {}\n", ratio(*value), report.reference));
     let worst = ratio(report.worst_window_over_start_ratio);
-    let worst = format!(
-        "{:<56} {worst} × {}\n",
-        "worst 3 s of the newest parameters", report.start
-    );
+    let (label, start) = ("worst 3 s of the newest parameters", &report.start);
+    let worst = format!("{label:<56} {worst} × {start}\n");
     let decisions = format!("decisions  {}\n", decision_line(&report.decisions));
     let few = too_few_rows(report.rows_accepted_count, report.ticks_count);
     let lines = few.into_iter().chain(lines);
@@ -199,23 +189,19 @@ fn decision_line(decisions: &[ReplayDecision]) -> String {
         before.all(|earlier| earlier.reason != decisions[k].reason)
     };
     let entry = |k: usize| {
-        let ReplayDecision {
-            t_s, reason, joint, ..
-        } = &decisions[k];
+        let (t_s, reason) = (decisions[k].t_s, &decisions[k].reason);
         let times = decisions.iter().filter(|d| d.reason == *reason).count();
+        let joint = decisions[k].joint;
         let joint = joint.map_or(String::new(), |j| format!(" J{j}"));
         match times {
             1 => format!("{reason}{joint} at {t_s:.1} s"),
             _ => format!("{times} x {reason}, first{joint} at {t_s:.1} s"),
         }
     };
-    let entries: Vec<String> = (0..decisions.len())
-        .filter(|&k| first(k))
-        .map(entry)
-        .collect();
-    match entries.len() {
-        0 => "none".to_owned(),
-        _ => entries.join("; "),
+    let entries = (0..decisions.len()).filter(|&k| first(k)).map(entry);
+    match decisions {
+        [] => "none".to_owned(),
+        _ => entries.collect::<Vec<_>>().join("; "),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Values of an element, its own or those of its class, and the settings that decide what they mean.
 
 use super::*;
+use std::f64::consts::PI;
 
 impl<'a, 'input> Reader<'a, 'input> {
     /// Takes the settings of `<compiler>`.
@@ -27,12 +28,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         ] {
             if changes {
                 let value = written(name);
-                return Err(problem(
-                    node,
-                    &format!(
-                        "{name}=\"{value}\" cannot be read: save the compiled model with MuJoCo (mj_saveLastXML)"
-                    ),
-                ));
+                return Err(unreadable(node, &format!("{name}=\"{value}\" ")));
             }
         }
         Ok(())
@@ -53,22 +49,15 @@ impl<'a, 'input> Reader<'a, 'input> {
         let tag = node.tag_name().name();
         let mut class = node.attribute("class").unwrap_or(class);
         for _ in 0..MOST_CLASSES {
-            let of_class = |default: &Node<'_, '_>| class_of(*default) == class;
-            let defaults = self
-                .root
-                .descendants()
-                .filter(|n| n.has_tag_name("default"));
+            let is_default = |n: &Node<'_, '_>| n.has_tag_name("default");
+            let defaults = self.root.descendants().filter(is_default);
             let mut outer = None;
-            for default in defaults.filter(of_class) {
-                outer = default
-                    .parent()
-                    .filter(|parent| parent.has_tag_name("default"));
+            for default in defaults.filter(|default| class_of(*default) == class) {
+                outer = default.parent().filter(is_default);
                 // An actuator's defaults may stand under its own name and under that of all actuators.
-                let found = [tag, "general"]
-                    .into_iter()
-                    .take(1 + usize::from(is_actuator(tag)));
-                let found = found.filter_map(|tag| child(default, tag));
-                if let Some(found) = found.into_iter().find(|n| n.has_attribute(name)) {
+                let tags = &[tag, "general"][..1 + usize::from(is_actuator(tag))];
+                let mut found = tags.iter().filter_map(|tag| child(default, tag));
+                if let Some(found) = found.find(|n| n.has_attribute(name)) {
                     return Some(found);
                 }
             }
@@ -128,13 +117,30 @@ impl<'a, 'input> Reader<'a, 'input> {
         }
     }
 
+    /// Rotation by three Euler angles in the order of the file.
+    fn turned(&self, angles: &[f64]) -> Rotation3<f64> {
+        let mut rot = Rotation3::identity();
+        for (axis, angle) in self.euler.chars().zip(angles) {
+            let about = match axis.to_ascii_lowercase() {
+                'x' => Vector3::x_axis(),
+                'y' => Vector3::y_axis(),
+                _ => Vector3::z_axis(),
+            };
+            let turn = Rotation3::from_axis_angle(&about, self.angle(*angle));
+            // Lower case turns about the axes as they move, upper case about the fixed ones.
+            rot = match axis.is_ascii_lowercase() {
+                true => rot * turn,
+                false => turn * rot,
+            };
+        }
+        rot
+    }
+
     /// Position and orientation of an element in the one around it.
     pub(super) fn pose(&self, node: Node<'a, 'input>) -> Result<Placement, String> {
         let bad = |name: &str| {
-            problem(
-                node,
-                &format!("has an attribute '{name}' of another length than its kind has"),
-            )
+            let what = format!("has an attribute '{name}' of another length than its kind has");
+            problem(node, &what)
         };
         let unit = |v: Vector3<f64>| Unit::try_new(v, 1e-9).ok_or_else(|| bad("axis"));
         let mut rot = Rotation3::identity();
@@ -157,29 +163,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 ("zaxis", &[x, y, z]) => {
                     let axis = unit(Vector3::new(x, y, z))?.into_inner();
                     let least = Rotation3::rotation_between(&Vector3::z(), &axis);
-                    least.unwrap_or_else(|| {
-                        Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-                    })
+                    let half_turn = || Rotation3::from_axis_angle(&Vector3::x_axis(), PI);
+                    least.unwrap_or_else(half_turn)
                 }
-                ("euler", angles @ &[_, _, _]) => {
-                    self.euler.chars().zip(angles).fold(
-                        Rotation3::identity(),
-                        |rot, (axis, angle)| {
-                            let about = match axis.to_ascii_lowercase() {
-                                'x' => Vector3::x_axis(),
-                                'y' => Vector3::y_axis(),
-                                _ => Vector3::z_axis(),
-                            };
-                            let turn = Rotation3::from_axis_angle(&about, self.angle(*angle));
-                            // Lower case turns about the axes as they move, upper case about the fixed ones.
-                            if axis.is_ascii_lowercase() {
-                                rot * turn
-                            } else {
-                                turn * rot
-                            }
-                        },
-                    )
-                }
+                ("euler", angles @ &[_, _, _]) => self.turned(angles),
                 _ => return Err(bad(name)),
             };
         }
@@ -206,18 +193,15 @@ pub(super) fn numbers(node: Node<'_, '_>, name: &str) -> Result<Vec<f64>, String
     let Some(text) = node.attribute(name) else {
         return Ok(Vec::new());
     };
-    let values: Option<Vec<f64>> = text.split_whitespace().map(parse_number).collect();
-    values.ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a list of numbers")))
+    list(text).ok_or_else(|| problem(node, &format!("{name}=\"{text}\" is not a list of numbers")))
 }
 
 /// Every range of a joint lies within a turn in radians, but for rounding to two decimals. In degrees no arm moves with such
 /// ranges: the file is a part of one that names the unit.
 pub(super) fn ranges_are_radians(root: Node<'_, '_>) -> bool {
     let joints = root.descendants().filter(|n| n.has_tag_name("joint"));
-    let ends: Vec<f64> = joints
-        .filter_map(|joint| numbers(joint, "range").ok())
-        .flatten()
-        .collect();
+    let ranges = joints.filter_map(|joint| numbers(joint, "range").ok());
+    let ends: Vec<f64> = ranges.flatten().collect();
     !ends.is_empty() && ends.iter().all(|end| end.abs() < TURN)
 }
 

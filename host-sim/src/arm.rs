@@ -1,0 +1,152 @@
+//! Options that commands share: the robot, and the arm in its description.
+
+use super::terminal::show;
+use super::{Failure, positive, unusable};
+use clap::Args;
+use foretorque_workbench::robot::{Joint, Robot};
+use foretorque_workbench::urdf::{Import, Selection};
+
+/// Arm of a URDF, and values that take the place of the description's.
+#[derive(Clone, Debug, Default, Args)]
+#[command(next_help_heading = "Arm")]
+pub(super) struct ArmOptions {
+    /// Name of the arm, in place of that in its file: lower-case letters, digits and underscores, a letter first
+    #[arg(long = "name", value_name = "NAME")]
+    called: Option<String>,
+    /// Link of a URDF or MJCF that the arm stands on, or the joint that leaves it; without it the root
+    #[arg(long, value_name = "NAME")]
+    base: Option<String>,
+    /// Link of a URDF or MJCF that the arm ends at, or its joint; without it the arm ends where only fixed, prismatic and
+    /// mimic joints or fingers follow
+    #[arg(long, value_name = "NAME")]
+    tip: Option<String>,
+    /// Make what hangs on the arm beside its path part of the link that carries it, at its zero
+    #[arg(long)]
+    weld: bool,
+    /// Move inertias that no body has to the nearest one that a body has
+    #[arg(long)]
+    repair: bool,
+    /// Mass of links without inertial data
+    #[arg(long, value_name = "KG", value_parser = positive)]
+    link_mass: Option<f64>,
+    /// Rotor inertias reflected to the link side: one for all joints, or one for each
+    #[arg(long, value_name = "KG_M2,...", value_delimiter = ',', value_parser = positive)]
+    rotor_inertia: Vec<f64>,
+    /// Torque limits: one for all joints, or one for each
+    #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = positive)]
+    torque_limits: Vec<f64>,
+    /// Velocity limits: one for all joints, or one for each
+    #[arg(long, value_name = "RAD_S,...", value_delimiter = ',', value_parser = positive)]
+    velocity_limits: Vec<f64>,
+    /// Drive gains: one for all joints, or one for each
+    #[arg(long, value_name = "NM_A,...", value_delimiter = ',', value_parser = positive)]
+    drive_gains: Vec<f64>,
+    /// Coulomb friction of the simulated arm: one for all joints, or one for each
+    #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = positive)]
+    friction: Vec<f64>,
+}
+
+/// The robot of a command.
+#[derive(Debug, Args)]
+pub(super) struct RobotOptions {
+    /// Robot: a built-in name, or a TOML, URDF or MJCF file; its log_columns map foreign logs
+    #[arg(long)]
+    pub(super) robot: String,
+    #[command(flatten)]
+    pub(super) arm: ArmOptions,
+}
+
+impl RobotOptions {
+    pub(super) fn load(&self) -> Result<Robot, Failure> {
+        self.arm.load(&self.robot)
+    }
+
+    /// The robot, which may have coupled joints; its notes are printed.
+    pub(super) fn load_coupled(&self) -> Result<Robot, Failure> {
+        self.arm.load_coupled(&self.robot)
+    }
+}
+
+impl ArmOptions {
+    /// Part of a URDF that is the arm.
+    pub(super) fn selection(&self) -> Selection<'_> {
+        Selection {
+            base: self.base.as_deref(),
+            tip: self.tip.as_deref(),
+            weld: self.weld,
+            repair: self.repair,
+            link_mass: self.link_mass,
+        }
+    }
+
+    /// The arm called `name`, with its notes.
+    ///
+    /// Errors: of the description; a list of another length than the joints.
+    pub(super) fn import(&self, name: &str) -> Result<Import, Failure> {
+        let mut import = Robot::load_selected(name, &self.selection())?;
+        if let Some(called) = &self.called {
+            if !Robot::is_name(called) {
+                let form = "must be lower-case letters, digits and underscores, a letter first";
+                return Err(unusable(format!("--name {called}: {form}")));
+            }
+            import.robot.name.clone_from(called);
+        }
+        type Place = fn(&mut Joint) -> &mut f64;
+        let rotor: Place = |joint| &mut joint.drive.rotor_inertia;
+        let torque: Place = |joint| &mut joint.limits.torque;
+        let velocity: Place = |joint| &mut joint.limits.velocity;
+        let gain: Place = |joint| &mut joint.drive.gain;
+        let friction: Place = |joint| &mut joint.friction.coulomb;
+        let places = [
+            ("--rotor-inertia", &self.rotor_inertia, rotor),
+            ("--torque-limits", &self.torque_limits, torque),
+            ("--velocity-limits", &self.velocity_limits, velocity),
+            ("--drive-gains", &self.drive_gains, gain),
+            ("--friction", &self.friction, friction),
+        ];
+        let joints = import.robot.joint_count();
+        for (option, values, place) in places {
+            let found = values.len();
+            if ![0, 1, joints].contains(&found) {
+                return Err(unusable(format!(
+                    "{option} has {found} values, the arm has {joints} joints"
+                )));
+            }
+            for (joint, value) in import.robot.joints.iter_mut().zip(values.iter().cycle()) {
+                *place(joint) = *value;
+            }
+        }
+        Ok(import)
+    }
+
+    /// The arm called `name`, of which each drive turns one joint; its notes are printed.
+    pub(super) fn load(&self, name: &str) -> Result<Robot, Failure> {
+        let robot = self.load_coupled(name)?;
+        match robot.coupling {
+            None => Ok(robot),
+            Some(_) => Err(unusable(format!(
+                "{name}: coupled joints are for describe, excite, simulate, identify and torque only; take the description without its [coupling]"
+            ))),
+        }
+    }
+
+    /// The arm called `name`, which may have coupled joints; its notes are printed.
+    fn load_coupled(&self, name: &str) -> Result<Robot, Failure> {
+        let import = self.import(name)?;
+        for note in &import.notes {
+            show!("note: {note}")?;
+        }
+        Ok(import.robot)
+    }
+}
+
+/// `robot` with a rotor at every joint; a note names those that its description has not.
+pub(super) fn with_rotors(robot: &Robot) -> Result<Robot, Failure> {
+    let (robot, assumed) = robot.with_assumed_rotors();
+    if !assumed.is_empty() {
+        show!(
+            "note: rotor inertias are not described at joints {assumed:?}: torque limit / 200 rad/s² is assumed"
+        )?;
+    }
+    Ok(robot)
+}

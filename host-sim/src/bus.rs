@@ -1,0 +1,189 @@
+//! A bus of drives: with a user at the terminal, who ends the torque by a signal and moves the arm on request; and its drives as
+//! bytes for the flash of a board.
+
+use super::arm::ArmOptions;
+use super::boards::on_arm;
+use super::terminal::{SignalGuard, show, write_line};
+use super::{Failure, unusable};
+use clap::{Args, ValueEnum};
+use foretorque::arm::Arm;
+use foretorque_link::bus::{Role, Wires, Wiring};
+use foretorque_link::drives::{Frame, Protocol};
+use foretorque_workbench::bus::{
+    Ask, BusChoice, BusError, JointEntry, Network, Profile, WiredNetwork, real_time,
+};
+use foretorque_workbench::files::write_whole;
+use std::io::{self, BufRead};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Bus whose user may interrupt: the next reading of replies fails once, and the drives are switched off.
+pub(super) struct Attended {
+    network: Box<dyn Network>,
+    /// The arm is simulated and moves itself when asked.
+    simulated: bool,
+    /// None once the user has interrupted: a second signal ends the program.
+    guard: Option<SignalGuard>,
+    periods: u32,
+}
+
+impl Attended {
+    pub(super) fn new(network: Box<dyn Network>, simulated: bool) -> Self {
+        Self {
+            network,
+            simulated,
+            guard: Some(SignalGuard::begin()),
+            periods: 0,
+        }
+    }
+}
+
+impl Network for Attended {
+    fn name(&self) -> String {
+        self.network.name()
+    }
+
+    fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
+        self.network.send(bus, frame)
+    }
+
+    fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
+        if self.guard.as_ref().is_some_and(SignalGuard::interrupted) {
+            self.guard = None;
+            return Err(BusError::Interrupted(self.periods));
+        }
+        self.network.receive()
+    }
+
+    fn wait(&mut self) -> Duration {
+        self.periods = self.periods.saturating_add(1);
+        self.network.wait()
+    }
+
+    fn is_off(&self) -> bool {
+        self.network.is_off()
+    }
+
+    fn ask(&mut self, ask: &Ask) -> Result<(), BusError> {
+        // Drives are off: a signal ends the program at once.
+        self.guard = None;
+        let outcome = match self.simulated {
+            true => self.network.ask(ask),
+            false => prompt(&request(ask)).map_err(|e| BusError::Gone("terminal".to_owned(), e)),
+        };
+        self.guard = Some(SignalGuard::begin());
+        outcome
+    }
+}
+
+/// Asks whoever is at the terminal for something, and waits until it is done.
+pub(super) fn prompt(request: &str) -> io::Result<()> {
+    write_line(format_args!("{request}, then press Enter"))?;
+    let mut line = String::new();
+    match io::stdin().lock().read_line(&mut line)? {
+        0 => Err(io::ErrorKind::UnexpectedEof.into()),
+        _ => Ok(()),
+    }
+}
+
+fn request(ask: &Ask) -> String {
+    match ask {
+        Ask::Pose(pose) => format!("put the arm into the pose {pose:?} rad"),
+        Ask::Turn { joint, by_rad } => {
+            let degrees = by_rad.to_degrees();
+            format!("turn joint {} by {degrees:+.0}° by hand", joint + 1)
+        }
+        Ask::Weight(None) => {
+            let room = "give each joint 45° of room around the pose of rest";
+            format!("take every load off the arm and {room}")
+        }
+        Ask::Weight(Some(body)) => {
+            let (mass, at): (f64, [f64; 3]) = (body.mass, body.com.into());
+            format!("fix {mass} kg to the last link, centre of mass at {at:?} m in its frame")
+        }
+    }
+}
+
+/// The adapters of an arm, in a thread with real time priority where the system permits it; a note where it does not.
+pub(super) fn wired(bus: &BusChoice, profile: &Profile) -> Result<WiredNetwork, Failure> {
+    let lines = bus.open(profile.bus.len())?;
+    if let Err(reason) = real_time() {
+        show!("no priority of real time ({reason}): the ticks may come late")?;
+    }
+    Ok(WiredNetwork::new(lines, 1.0 / profile.rate_hz))
+}
+
+/// Write the drives of a profile as bytes for the flash of a board on their bus, the firmware `joint-can`
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// Profile of the arm: its drives, buses and gains (see docs/bus.md)
+    #[arg(long, value_name = "FILE")]
+    profile: PathBuf,
+    /// Place of the board among the drives
+    #[arg(long, value_enum)]
+    role: RoleName,
+    /// The one joint, from 1, whose drive is on this board; without it all
+    #[arg(long)]
+    joint: Option<usize>,
+    #[command(flatten)]
+    arm: ArmOptions,
+    /// File for the bytes, which belong to address 0x08080000
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// Roles and ports.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum RoleName {
+    /// The board sends every command on CAN1 and CAN2
+    Master,
+    /// Commands pass from CAN1 to CAN2, with the torque of the board
+    InLine,
+    /// Commands pass from USART6 to UART4, in the text form of moteus
+    Uart,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let profile = Profile::load(&arguments.profile)?;
+    let robot = &arguments.arm.load(&profile.robot)?;
+    on_arm!(robot, A, N, P => arguments.write::<A, N, P>(&profile))
+}
+
+impl Arguments {
+    fn write<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        profile: &Profile,
+    ) -> Result<(), Failure> {
+        let (role, wires) = match self.role {
+            RoleName::Master => (Role::Master, Wires::Can),
+            RoleName::InLine => (Role::InLine, Wires::Can),
+            RoleName::Uart => (Role::InLine, Wires::Uart),
+        };
+        let fast = |joint: &JointEntry| matches!(joint.drive.protocol, Protocol::Moteus(_));
+        let fast = profile.joint.iter().position(fast);
+        if let Some(joint) = fast.filter(|_| wires == Wires::Can) {
+            let place = format!("{}: joint {}", profile.file, joint + 1);
+            let reason = "its drive needs CAN-FD, which this board does not have";
+            return Err(unusable(format!("{place}: {reason}")));
+        }
+        let mut wiring = profile.wiring::<A, N, P>(role, wires)?;
+        if let Some(only) = self.joint {
+            if !(1..=N).contains(&only) {
+                let reason = format!("--joint {only}: the arm has joints 1 to {N}");
+                return Err(unusable(reason));
+            }
+            let joints = (1..).zip(&mut wiring.joints);
+            let others = joints.filter(|(joint, _)| *joint != only);
+            others.for_each(|(_, slot)| *slot = None);
+        }
+        let mut buffer = vec![0; Wiring::<N>::BYTES];
+        let file = &profile.file;
+        let many = format!("{file}: more drives than the flash of a board holds");
+        let bytes = wiring.encode(&mut buffer).map_err(|_| unusable(many))?;
+        write_whole(&self.out, bytes)?;
+        let (count, out) = (bytes.len(), self.out.display());
+        show!(
+            "{count} bytes; next: probe-rs download --chip STM32F405RGTx --binary-format bin --base-address 0x08080000 {out}"
+        )
+    }
+}

@@ -1,0 +1,149 @@
+use super::terminal::show;
+use super::{Failure, text_of, unusable};
+use clap::Args;
+use foretorque_workbench::files::write_whole;
+use foretorque_workbench::report::page::{Page, Section};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Put the figures of two reports side by side
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// First report: report.json, or the directory that holds it
+    a: PathBuf,
+    /// Second report
+    b: PathBuf,
+    /// Show figures that are the same, too
+    #[arg(long)]
+    all: bool,
+    /// Write the comparison as a page
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// Longest list that is compared value by value: curves are left out.
+const LONGEST: usize = 16;
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let (a, b) = (read(&arguments.a)?, read(&arguments.b)?);
+    let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
+    keys.sort();
+    keys.dedup();
+    let names = [&arguments.a, &arguments.b].map(|path| path.display().to_string());
+    let [one, other] = &names;
+    if !keys
+        .iter()
+        .any(|key| a.contains_key(*key) && b.contains_key(*key))
+    {
+        return Err(unusable(format!(
+            "{one} and {other} have no figure in common"
+        )));
+    }
+    let keys = keys.into_iter();
+    let shown = keys.filter(|key| arguments.all || a.get(*key) != b.get(*key));
+    let rows: Vec<[String; 4]> = shown.map(|key| row(key, a.get(key), b.get(key))).collect();
+    let width = rows.iter().map(|row| row[0].len()).max().unwrap_or(0);
+    for [key, a, b, ratio] in &rows {
+        show!("{key:<width$} {a:>14} {b:>14} {ratio:>10}")?;
+    }
+    if rows.is_empty() {
+        show!("no figure differs")?;
+    }
+    if let Some(out) = &arguments.out {
+        let caption = "Values of both reports, and the second over the first.";
+        let section = Section::new("Figures that differ", caption);
+        let section = section.table(format!("figure | {one} | {other} | ratio"), rows);
+        let page = Page::new(format!("{one} and {other}"), "Two reports side by side.");
+        write_whole(out, page.sections([section]).html()?.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Figures and words of a report by their path in the file.
+fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
+    let file = match path.is_dir() {
+        true => path.join("report.json"),
+        false => path.to_owned(),
+    };
+    let report: Value = serde_json::from_str(&text_of(&file)?)
+        .map_err(|error| unusable(format!("{}: no report: {error}", file.display())))?;
+    let mut figures = BTreeMap::new();
+    flatten(String::new(), &report, &mut figures);
+    Ok(figures)
+}
+
+fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
+    let below = |name: &str| match key.is_empty() {
+        true => name.to_owned(),
+        false => format!("{key}.{name}"),
+    };
+    match value {
+        Value::Object(fields) => {
+            for (name, value) in fields {
+                flatten(below(name), value, into);
+            }
+        }
+        Value::Array(values) if values.len() <= LONGEST => {
+            for (number, value) in (1..).zip(values) {
+                // Parameters and paths are called by their names.
+                let mut fields = ["name", "path"].iter();
+                let named = fields.find_map(|field| value.get(field)?.as_str());
+                let name = named.map_or(number.to_string(), str::to_owned);
+                flatten(below(&name), value, into);
+            }
+        }
+        Value::Array(values) if values.iter().all(|value| value.get("name").is_some()) => {
+            for value in values {
+                let name = value["name"].as_str().unwrap_or_default();
+                flatten(below(name), value, into);
+            }
+        }
+        Value::Array(_) | Value::Null => {}
+        figure => {
+            into.insert(key, figure.clone());
+        }
+    }
+}
+
+/// Key, both values, and the second over the first.
+fn row(key: &str, a: Option<&Value>, b: Option<&Value>) -> [String; 4] {
+    let shown = |value: Option<&Value>| match value {
+        None => "–".to_owned(),
+        Some(Value::String(text)) => text.clone(),
+        Some(value) => match value.as_f64().filter(|_| value.is_f64()) {
+            Some(number) => format!("{number:.6}"),
+            None => value.to_string(),
+        },
+    };
+    let numbers = a.and_then(Value::as_f64).zip(b.and_then(Value::as_f64));
+    let ratio = numbers
+        .filter(|(a, _)| *a != 0.0)
+        .map_or(String::new(), |(a, b)| format!("× {:.3}", b / a));
+    [key.to_owned(), shown(a), shown(b), ratio]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_called_by_their_way_through_the_report() {
+        let report = serde_json::json!({
+            "rank": 52, "none": null, "curve": vec![0; 40],
+            "methods": {"wls": {"parameters": [{"name": "Ia1", "value": 0.5}], "rmse_nm": [1.0, null]}},
+        });
+        let mut figures = BTreeMap::new();
+        flatten(String::new(), &report, &mut figures);
+        let keys: Vec<&str> = figures.keys().map(String::as_str).collect();
+        let expected = [
+            "methods.wls.parameters.Ia1.name",
+            "methods.wls.parameters.Ia1.value",
+            "methods.wls.rmse_nm.1",
+            "rank",
+        ];
+        assert_eq!(keys, expected);
+        let found = row("x", Some(&2.0.into()), Some(&3.0.into()));
+        assert_eq!(found, ["x", "2.000000", "3.000000", "× 1.500"]);
+    }
+}

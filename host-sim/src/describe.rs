@@ -1,0 +1,92 @@
+//! Descriptions of arms as files, and as modules of the firmware.
+
+use super::Failure;
+use super::arm::ArmOptions;
+use super::terminal::show;
+use clap::{Args, ValueEnum};
+use foretorque_workbench::generate::write_arm_module;
+use foretorque_workbench::urdf;
+use std::path::{Path, PathBuf};
+
+/// Print the description of an arm, with what was assumed for it: a start for a file with all that a URDF does not have
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub(super) struct Describe {
+    /// Robot: a built-in name or a description file (TOML, URDF or MJCF)
+    robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
+    /// Format; TOML keeps everything, an overlay is a TOML that completes the file beside it, the others keep what they have
+    /// elements for
+    #[arg(long, value_enum, default_value_t = Format::Toml)]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Toml,
+    Overlay,
+    Urdf,
+    Mjcf,
+    Sdf,
+}
+
+impl Describe {
+    pub(super) fn run(&self) -> Result<(), Failure> {
+        let import = self.arm.import(&self.robot)?;
+        let (robot, assumed) = import.robot.with_assumed_rotors();
+        let mut notes = import.notes;
+        if !assumed.is_empty() {
+            notes.push(format!(
+                "assumed: rotor inertia of joints {assumed:?}, torque limit / 200 rad/s²"
+            ));
+        }
+        let toml = |text: String| {
+            notes.iter().try_for_each(|note| show!("# {note}"))?;
+            show!("{}", text.trim_end())
+        };
+        let write = match self.format {
+            Format::Toml => return toml(robot.to_toml()?),
+            Format::Overlay => {
+                let name = Path::new(&self.robot).file_name().unwrap_or_default();
+                let selection = self.arm.selection();
+                return toml(robot.to_overlay(&name.to_string_lossy(), &selection)?);
+            }
+            Format::Urdf => urdf::write,
+            Format::Mjcf => urdf::mjcf,
+            Format::Sdf => urdf::sdf,
+        };
+        show!("{}", write(&robot).trim_end())?;
+        // Nothing may stand before the declaration of an XML.
+        for note in &notes {
+            show!("<!-- {} -->", note.replace("--", "- -"))?;
+        }
+        Ok(())
+    }
+}
+
+/// Write the constants of an arm as a module of the firmware
+#[derive(Debug, Args)]
+pub(super) struct Generate {
+    /// Robot: a built-in name or a description file
+    #[arg(long, alias = "urdf")]
+    robot: String,
+    #[command(flatten)]
+    arm: ArmOptions,
+    /// Module to write, called like the arm; the mod.rs beside it, if there is one, gets its declaration
+    #[arg(long, value_name = "FILE.rs")]
+    out: PathBuf,
+}
+
+impl Generate {
+    pub(super) fn run(&self) -> Result<(), Failure> {
+        let robot = self.arm.load(&self.robot)?;
+        let joints: Vec<&str> = robot.joints.iter().map(|j| j.name.as_str()).collect();
+        write_arm_module(&robot, &self.out)?;
+        let (out, name, count) = (self.out.display(), &robot.name, joints.len());
+        show!(
+            "{out}: arm '{name}' of {count} joints: {}",
+            joints.join(", ")
+        )
+    }
+}

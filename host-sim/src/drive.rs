@@ -1,0 +1,335 @@
+use super::arm::{ArmOptions, with_rotors};
+use super::boards::on_arm;
+use super::bus::{Attended, wired};
+use super::disturbances::DisturbanceArguments;
+use super::motion_log::MotionLog;
+use super::terminal::{Bar, show};
+use super::{Failure, bank, positive, unsupported, unusable};
+use clap::Args;
+use foretorque::arm::Arm;
+use foretorque::joint::JointVector;
+use foretorque::learning::ParameterSet;
+use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
+use foretorque_link::bus::BusConfig;
+use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
+use foretorque_workbench::bus::{BusChoice, BusPlayer, Network, Profile};
+use foretorque_workbench::closed_loop::{TickRecord, motion_f32};
+use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::files::write_whole;
+use foretorque_workbench::plant::{Measurement, Plant};
+use foretorque_workbench::report::write_json;
+use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::trajectory::via::ViaPath;
+use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S, VALIDATION_S};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Standard deviation of the torque that a simulated drive reports, as a share of the joint's limit.
+const REPORT_NOISE: f64 = 0.01;
+
+/// Drive an arm whose joints are drives on a CAN bus, with learnt torque feed-forward in every command
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub(super) struct Arguments {
+    /// Profile of the arm: its drives, buses, gains and rate (see docs/bus.md)
+    #[arg(long, value_name = "FILE")]
+    profile: PathBuf,
+    /// Bus: sim, socketcan:IF, slcan:PORT, fdcanusb:PORT or udp:GROUP; two buses as IF,IF
+    #[arg(long)]
+    bus: BusChoice,
+    /// A table with t_s, q, qd, qdd; an excitation (.json); a path of the tool (.toml); or `validation`, a seeded path
+    #[arg(long, value_name = "FILE|validation")]
+    trajectory: String,
+    /// Seed of validation path, simulated arm and noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Play this long, s; an excitation repeats, `validation` is made as long, everything else ends by itself
+    #[arg(long, value_parser = positive)]
+    duration_s: Option<f64>,
+    /// Parameter bank to start from; without it the description's rigid body
+    #[arg(long, value_name = "FILE")]
+    bank: Option<PathBuf>,
+    /// Learn while it runs
+    #[arg(long)]
+    learn: bool,
+    /// Send no torque: the drives' own PD alone, for comparison
+    #[arg(long, conflicts_with = "learn")]
+    alone: bool,
+    /// The simulated arm is the description itself, not a variation of it by up to 20 %
+    #[arg(long)]
+    exact: bool,
+    #[command(flatten)]
+    pub(super) arm: ArmOptions,
+    #[command(flatten)]
+    disturbances: DisturbanceArguments,
+    /// Directory for log.csv, log.mcap, drive.json and bank.bin, the parameters in force at the end
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// Figures of a run.
+#[derive(Debug, Serialize)]
+struct Summary {
+    robot: String,
+    bus: String,
+    seed: u64,
+    rate_hz: f64,
+    ticks: usize,
+    learning: bool,
+    /// Over the second half of the run.
+    tracking_rms_mrad: f64,
+    /// With the drives' own PD alone; simulated buses only.
+    alone_tracking_rms_mrad: Option<f64>,
+    tracking_ratio: Option<f64>,
+    jitter_median_us: f32,
+    jitter_999_us: f32,
+    jitter_largest_us: f32,
+    periods_without_reply: Vec<u32>,
+    foreign_frames: u32,
+    ended: Option<String>,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let profile = Profile::load(&arguments.profile)?;
+    let robot = &arguments.arm.load(&profile.robot)?;
+    on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))
+}
+
+impl Arguments {
+    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+        &self,
+        profile: &Profile,
+        robot: &Robot,
+    ) -> Result<(), Failure> {
+        let robot = &with_rotors(robot)?;
+        let drive = Drive::<A, N, P>::new(self, profile, robot)?;
+        if !self.bus.is_simulated() {
+            return drive.play(Box::new(wired(&self.bus, profile)?), None);
+        }
+        let mut alone = None;
+        if !self.alone {
+            let network = Box::new(drive.simulated()?);
+            let played = drive.tracking(network, true, &mut |_| Ok(()))?;
+            alone = Some(played.rms_mrad());
+        }
+        drive.play(Box::new(drive.simulated()?), alone)
+    }
+}
+
+/// Parts of a run that do not depend on the bus.
+struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
+    arguments: &'a Arguments,
+    profile: &'a Profile,
+    robot: &'a Robot,
+    config: BusConfig<N>,
+    set: ParameterSet<N, P>,
+    path: Trajectory<N>,
+    ticks: usize,
+    arm: std::marker::PhantomData<A>,
+}
+
+struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
+    player: BusPlayer<A, Attended, N, P>,
+    ticks: usize,
+    squares: f64,
+    counted: usize,
+    ended: Option<String>,
+}
+
+impl<A: Arm<N, P>, const N: usize, const P: usize> Played<A, N, P> {
+    fn rms_mrad(&self) -> f64 {
+        (self.squares / (N * self.counted.max(1)) as f64).sqrt() * 1e3
+    }
+}
+
+impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
+    fn new(
+        arguments: &'a Arguments,
+        profile: &'a Profile,
+        robot: &'a Robot,
+    ) -> Result<Self, Failure> {
+        let mut config = profile.config::<A, N, P>()?;
+        let period_s = 1.0 / profile.rate_hz;
+        let mut set = ParameterSet::nominal::<A>(NETWORK_SEED);
+        if let Some(file) = &arguments.bank {
+            let bank = bank::read(file)?;
+            set = bank.set::<A, N, P>()?;
+            for (joint, bounds) in config.joints.iter_mut().zip(&bank.limits) {
+                joint.drive.torque_limit = joint.drive.torque_limit.min(bounds.torque_nm);
+            }
+        }
+        let seed = arguments.seed;
+        let path = match (arguments.trajectory.as_str(), arguments.duration_s) {
+            ("validation", Some(length_s)) if length_s > VALIDATION_S => {
+                let peak = VALIDATION_PEAK_RAD_S;
+                Trajectory::Via(ViaPath::random(robot, seed, length_s, peak))
+            }
+            (name, length_s) => Trajectory::load(name, robot, seed, length_s, period_s)?,
+        };
+        path.check(robot, period_s)?;
+        let duration_s = arguments.duration_s.unwrap_or(f64::INFINITY);
+        let duration_s = duration_s.min(path.duration_s());
+        Ok(Self {
+            arguments,
+            profile,
+            robot,
+            config,
+            set,
+            path,
+            ticks: (duration_s / period_s).round() as usize,
+            arm: std::marker::PhantomData,
+        })
+    }
+
+    /// The simulated arm at the begin of the path.
+    fn simulated(&self) -> Result<SimulatedNetwork<N>, Failure> {
+        let arguments = self.arguments;
+        let truth = match arguments.exact {
+            true => self.robot.clone(),
+            false => self.robot.perturbed(arguments.seed, &Perturbation::PLANT),
+        };
+        let config = plant_config(arguments.disturbances.plant_config()?);
+        let plant = Plant::<N>::new(&truth, config, arguments.seed);
+        let plant = plant.ok_or_else(|| unsupported(N))?;
+        let mut plant = plant.with_events(arguments.disturbances.events::<N>()?);
+        plant.place(&self.path.at(0.0).q);
+        let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);
+        let noise = Joints::from_iterator(limits.map(|limit| REPORT_NOISE * limit));
+        let (rates, seed) = (self.profile.bus.first(), arguments.seed);
+        let rates = rates.copied().unwrap_or_default();
+        let config = &self.config;
+        Ok(SimulatedNetwork::new(plant, config, rates, &noise, seed))
+    }
+
+    /// Arms, approaches the path, plays it and parks.
+    fn tracking(
+        &self,
+        network: Box<dyn Network>,
+        alone: bool,
+        log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
+    ) -> Result<Played<A, N, P>, Failure> {
+        let mut set = self.set;
+        if alone {
+            set = ParameterSet::nominal::<A>(NETWORK_SEED);
+            set.rigid.fill(0.0);
+        }
+        let network = Attended::new(network, self.arguments.bus.is_simulated());
+        let mut player = BusPlayer::new(self.config, set, network)?;
+        player.arm()?;
+        let mut played = Played {
+            player,
+            ticks: 0,
+            squares: 0.0,
+            counted: 0,
+            ended: None,
+        };
+        let followed = self.follow(&mut played, alone, log);
+        let parked = played.player.park().map_err(Failure::from);
+        let ended = followed.and(parked).err();
+        played.ended = ended.map(|failure| failure.to_string());
+        Ok(played)
+    }
+
+    fn follow(
+        &self,
+        played: &mut Played<A, N, P>,
+        alone: bool,
+        log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let player = &mut played.player;
+        player.approach(&self.path.at(0.0).q)?;
+        let learns = self.arguments.learn && !alone;
+        player.controller.set_learning(learns);
+        let period_s = 1.0 / self.profile.rate_hz;
+        let lead_s = self.profile.lead_s();
+        // A measurement was taken when the command of the period before arrived.
+        let age_s = 1.5 * period_s - lead_s;
+        let bar = Bar::new();
+        let mut feed_forward = JointVector::zeros();
+        for tick in 0..self.ticks {
+            let t_s = tick as f64 * period_s;
+            let motion = motion_f32(&self.path.at(t_s + lead_s));
+            let result = player.tick(Some(&motion))?;
+            player.check()?;
+            played.ticks += 1;
+            let desired = self.path.at((t_s - age_s).max(0.0));
+            if let Some(measured) = result.measured {
+                let measured = Measurement {
+                    q: measured.q.cast::<f64>(),
+                    tau: measured.tau.cast::<f64>(),
+                };
+                if 2 * tick >= self.ticks {
+                    played.squares += (measured.q - desired.q).norm_squared();
+                    played.counted += 1;
+                }
+                log(&TickRecord {
+                    t_s,
+                    desired,
+                    q: measured.q,
+                    measured,
+                    reported: Some(measured),
+                    tau: measured.tau,
+                    // The measured torque is that of the command before.
+                    feed_forward,
+                    shares: None,
+                    flags: result.torque.flags.0,
+                    stage: None,
+                })?;
+            }
+            feed_forward = result.torque.total;
+            if tick % 256 == 0 {
+                bar.show("drive", tick, self.ticks);
+            }
+        }
+        Ok(())
+    }
+
+    fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
+        let out = &self.arguments.out;
+        let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
+        let played = self.tracking(network, self.arguments.alone, &mut |record| {
+            Ok(log.add(record, record.measured)?)
+        })?;
+        log.finish()?;
+        let controller = &played.player.controller;
+        let learnt = controller.feed_forward().in_force();
+        let learnt = ParameterBank::from_set::<A, N, P>(&learnt);
+        write_whole(&out.join("bank.bin"), &bank::bytes(&learnt)?)?;
+        let [median, high, largest] = played.player.jitter.figures();
+        let rms = played.rms_mrad();
+        let lost = (0..N).map(|j| controller.drives().counters(j).lost);
+        let summary = Summary {
+            robot: self.robot.name.clone(),
+            bus: self.arguments.bus.to_string(),
+            seed: self.arguments.seed,
+            rate_hz: self.profile.rate_hz,
+            ticks: played.ticks,
+            learning: self.arguments.learn,
+            tracking_rms_mrad: rms,
+            alone_tracking_rms_mrad: alone_mrad,
+            tracking_ratio: alone_mrad.map(|alone| alone / rms),
+            jitter_median_us: median,
+            jitter_999_us: high,
+            jitter_largest_us: largest,
+            periods_without_reply: lost.collect(),
+            foreign_frames: controller.drives().strays(),
+            ended: played.ended.clone(),
+        };
+        write_json(&out.join("drive.json"), &summary)?;
+        if let Some(reason) = played.ended {
+            return Err(unusable(reason));
+        }
+        let (ticks, rate_hz) = (summary.ticks, summary.rate_hz);
+        show!(
+            "{ticks} ticks at {rate_hz} Hz, tracking error {rms:.3} mrad RMS in the second half"
+        )?;
+        if let Some((alone, ratio)) = alone_mrad.zip(summary.tracking_ratio) {
+            show!("PD of the drives alone: {alone:.3} mrad, ratio {ratio:.2}")?;
+        }
+        let lost: u32 = summary.periods_without_reply.iter().sum();
+        show!(
+            "begin of the ticks: median {median:.0} µs late, 99.9 % {high:.0} µs, largest {largest:.0} µs; \
+             {lost} replies lost"
+        )
+    }
+}

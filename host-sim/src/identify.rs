@@ -1,0 +1,366 @@
+use super::arm::RobotOptions;
+use super::logs::LogOptions;
+use super::terminal::{Lines, show};
+use super::{Failure, excite, not_negative, positive, sound, unusable};
+use clap::Args;
+use foretorque_link::bank::ParameterBank;
+use foretorque_workbench::arms;
+use foretorque_workbench::board::Described;
+use foretorque_workbench::files::{remove_stale, write_whole};
+use foretorque_workbench::identification::{
+    ColumnSet, Finding, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig,
+    bank_of_fit, identify, judge, longest_period_s, page, unexplained,
+};
+use foretorque_workbench::report::ReportFiles;
+use foretorque_workbench::report::page::{or_dash, ratio};
+use foretorque_workbench::robot::{Perturbation, Robot};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Identify an arm's parameters from logs, by all methods side by side, and validate them on unseen logs
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    pub(super) robot: RobotOptions,
+    /// Training log (CSV or CSV.gz); may be given several times
+    #[arg(long = "log", value_name = "FILE", required = true)]
+    logs: Vec<PathBuf>,
+    /// Log of an unseen path to validate on, by which the method for the bank is chosen; may be given several times
+    #[arg(long, value_name = "FILE")]
+    validate: Vec<PathBuf>,
+    /// Log of an unseen path by which nothing is chosen; may be given several times
+    #[arg(long, value_name = "FILE")]
+    test: Vec<PathBuf>,
+    /// Judge the training logs only: units, signs, clock, delay, excitation; nothing is identified
+    #[arg(long)]
+    data_check: bool,
+    /// Identify from logs that are refused, and write a bank that predicts worse than the description
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    columns_of_log: LogOptions,
+    /// Directory for report.json, report.html, parameters.bank, and robot.toml and robot.urdf of the consistent parameters
+    #[arg(long, value_name = "DIR", required_unless_present = "data_check")]
+    out: Option<PathBuf>,
+    /// Methods, separated by commas: ols, wls, irls, consistent, evidence, bp_physical, bp_black_box, bp_residual
+    #[arg(long, value_delimiter = ',', value_name = "LIST")]
+    methods: Vec<MethodName>,
+    /// Friction columns, joined by '+': coulomb-viscous, offset, stribeck, sqrt, cubic, load, cogging,
+    /// warm-up; or full for all
+    #[arg(long, default_value_t)]
+    columns: ColumnSet,
+    /// Filter of the training logs; fourier folds a log that repeats into one period and projects it on the harmonics
+    /// below the cut-offs. Validation logs always go through the zero-phase Butterworth filter.
+    #[arg(long, default_value = "butterworth")]
+    filter: Filter,
+    /// Period of the training logs, s, for --filter fourier
+    #[arg(long, conflicts_with = "excitation", value_parser = positive)]
+    period_s: Option<f64>,
+    /// The excitation.json that the training logs repeat, for --filter fourier
+    #[arg(long, value_name = "FILE")]
+    excitation: Option<PathBuf>,
+    /// Cut-off of the zero-phase filter on the motion, Hz; above that on the torque, so that the filter on both sides
+    /// of the equation is the same where it acts; without it 40, or 0.4 of the rows a second of a slow log
+    #[arg(long, value_parser = positive)]
+    motion_hz: Option<f64>,
+    /// Cut-off of the zero-phase filter on torque and regressor, Hz; 0 for none; without it 20, or 0.2 of the rows a
+    /// second of a slow log
+    #[arg(long, value_parser = not_negative)]
+    torque_hz: Option<f64>,
+    /// A joint slower than this stands still, rad/s
+    #[arg(long, default_value_t = PrepareConfig::STILL_RAD_S, value_parser = not_negative)]
+    still_rad_s: f64,
+    /// Where drive gains come from when the logs hold currents: the description, or the gravity torque of the description
+    /// over the current while the arm stands still
+    #[arg(long, default_value = "description")]
+    gains: Gains,
+    /// Robot whose parameters are the truth
+    #[arg(long, value_name = "ROBOT")]
+    truth: Option<String>,
+    /// The truth is the plant that `simulate --seed` made of that robot
+    #[arg(long, value_name = "SEED", requires = "truth")]
+    truth_seed: Option<u64>,
+    /// Seed of random starts
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Gains {
+    Description,
+    Standstill,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Filter {
+    Butterworth,
+    Fourier,
+}
+
+/// The period to fold training logs on, if that is wanted.
+fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
+    let mut period_s = arguments.period_s;
+    if let Some(path) = &arguments.excitation {
+        period_s = Some(excite::series(path)?.period_s);
+    }
+    match (arguments.filter, period_s) {
+        (Filter::Butterworth, Some(_)) => Err(unusable(
+            "--period-s and --excitation belong to --filter fourier",
+        )),
+        (Filter::Fourier, None) => Err(unusable(
+            "--filter fourier needs --period-s or --excitation",
+        )),
+        (_, period_s) => Ok(period_s),
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let mut robot = arguments.robot.load_coupled()?;
+    arguments.columns_of_log.apply(&mut robot)?;
+    let config = config(arguments, &robot)?;
+    identify_arm(arguments, &robot, &config)
+}
+
+fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
+    let mut truth = None;
+    if let Some(name) = &arguments.truth {
+        let described = Robot::load(name)?;
+        if described.joint_count() != robot.joint_count() {
+            let reason = format!("--truth {name}: another number of joints");
+            return Err(unusable(reason));
+        }
+        truth = Some(match arguments.truth_seed {
+            Some(seed) => described.perturbed(seed, &Perturbation::PLANT),
+            None => described,
+        });
+    }
+    let fold_period_s = fold_period_s(arguments)?;
+    let logs = [&arguments.logs, &arguments.validate, &arguments.test];
+    let logs: Vec<&Path> = logs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let rows = PrepareConfig::for_rows(longest_period_s(&logs, robot)?);
+    let methods = match &arguments.methods[..] {
+        [] => METHODS.iter().map(|(method, _)| *method).collect(),
+        chosen => chosen.to_vec(),
+    };
+    let torque_hz = arguments.torque_hz.or(rows.torque_hz);
+    Ok(IdentifyConfig {
+        methods,
+        columns: arguments.columns.clone(),
+        prepare: PrepareConfig {
+            motion_hz: arguments.motion_hz.unwrap_or(rows.motion_hz),
+            torque_hz: torque_hz.filter(|hz| *hz > 0.0),
+            still_rad_s: arguments.still_rad_s,
+        },
+        gains_from_standstill: arguments.gains == Gains::Standstill,
+        fold_period_s,
+        seed: arguments.seed,
+        truth,
+        test: arguments.test.clone(),
+    })
+}
+
+fn bank(robot: &Robot, outcome: &Outcome) -> Option<ParameterBank> {
+    if robot.coupling.is_some() {
+        return None;
+    }
+    arms!(robot, N, P => {
+        Described::<N, P>::read(robot)?;
+        bank_of_fit::<Described<N, P>, N, P>(
+            robot,
+            &outcome.bank_layout,
+            &outcome.bank_fit,
+            outcome.networks.as_deref(),
+            outcome.cogging.as_ref(),
+        )
+    }, else None)
+}
+
+fn identify_arm(
+    arguments: &Arguments,
+    robot: &Robot,
+    config: &IdentifyConfig,
+) -> Result<(), Failure> {
+    let judgement = judge(robot, &arguments.logs, &config.columns, &config.prepare)?;
+    let out = match &arguments.out {
+        Some(out) if !arguments.data_check => out,
+        _ => return show_check(&judgement),
+    };
+    if !arguments.force {
+        let way = "no bank; --force identifies all the same";
+        let judged = sound(&judgement, &arguments.logs, way);
+        if judged.is_err() {
+            remove_stale(out, &RESULTS)?;
+            return judged;
+        }
+    }
+    let bar = ProgressBar::new_spinner();
+    // A template that does not parse would only cost the line its looks.
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(100));
+    let files = ReportFiles::create(out)?;
+    let lines = Lines::new();
+    let progress = |message: &str| {
+        lines.show(|| format!("identify: {message}"));
+        bar.set_message(message.to_owned());
+    };
+    let (logs, validate) = (&arguments.logs, &arguments.validate);
+    let mut outcome = identify(robot, logs, validate, config, &progress)?;
+    bar.finish_and_clear();
+    let report = &mut outcome.report;
+    report.findings.extend(judgement.findings.iter().cloned());
+    report.data_check = Some(judgement);
+    report.findings.extend(unexplained(report));
+    report.findings.sort_by_key(|finding| !finding.refuses);
+    let report = &outcome.report;
+    let refused = report.findings.iter().find(|finding| finding.refuses);
+    let refused = refused.filter(|_| !arguments.force);
+    let bank = refused.map_or_else(|| bank(robot, &outcome), |_| None);
+    remove_stale(out, &RESULTS)?;
+    let shown = files.finish(report, &page(report, &outcome.trace))?;
+    for note in &report.notes {
+        show!("note  {note}")?;
+    }
+    for finding in &report.findings {
+        let kind = if finding.refuses { "wrong" } else { "warning" };
+        show!("{kind}  {}", finding.text)?;
+    }
+    for (joint, gain) in report.drive_gains.iter().enumerate() {
+        let found = match gain.std_nm_a {
+            Some(std) => format!("± {std:.3}, description {:.3}", gain.description_nm_a),
+            None => "of the description, standstill does not tell it".to_owned(),
+        };
+        let (joint, value) = (joint + 1, gain.gain_nm_a);
+        show!("gain  joint {joint}  {value:.3} N·m/A {found}")?;
+    }
+    let (rank, of) = (report.rank, &report.condition_number_of);
+    let condition = report.condition_number;
+    show!("rank {rank}, condition number {condition:.1} ({of})")?;
+    for (name, method) in &report.methods {
+        let mut line = format!(
+            "{name:<14} {:>7} epochs {:>8.3} s",
+            method.epochs, method.seconds
+        );
+        for (file, record) in method.validation.iter().chain(&method.test) {
+            let joints = newton_metres(&record.rmse_moving_nm);
+            let percent = 100.0 * record.joints_nrmse_moving_ratio;
+            line += &format!("   {file} {joints} N·m ({percent:.2} %)");
+        }
+        show!("{line}")?;
+    }
+    let floors = report.data_check.iter().flat_map(|check| &check.joints);
+    let floors: Vec<_> = floors.map(|joint| Some(joint.noise_floor_nm)).collect();
+    show!(
+        "torque error joint by joint, {}: {} N·m; description {}; noise alone {}",
+        report.recommended,
+        newton_metres(&report.headline_rmse_nm),
+        newton_metres(&report.headline_description_rmse_nm),
+        newton_metres(&floors)
+    )?;
+    if let Some(robot) = &outcome.robot {
+        let urdf = foretorque_workbench::urdf::write(robot);
+        for (name, text) in [("robot.toml", robot.to_toml()?), ("robot.urdf", urdf)] {
+            let path = out.join(name);
+            write_whole(&path, text.as_bytes())?;
+            show!("robot   {}", path.display())?;
+        }
+    }
+    if let Some(bank) = &bank {
+        let path = out.join("parameters.bank");
+        write_whole(&path, &super::bank::bytes(bank)?)?;
+        show!("bank    {}", path.display())?;
+    }
+    show!("report  {}", shown.display())?;
+    if let (Some(_), None) = (&robot.coupling, refused) {
+        return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
+    }
+    verdict(refused, bank.is_some())
+}
+
+/// Success of a run that wrote a bank.
+///
+/// Errors: the finding that kept it from a bank; a fit that no bank holds.
+fn verdict(refused: Option<&Finding>, has_bank: bool) -> Result<(), Failure> {
+    match (refused, has_bank) {
+        (Some(Finding { text, .. }), _) => {
+            Err(unusable(format!("{text} (no bank; --force writes one)")))
+        }
+        (None, false) => Err(unusable(
+            "no bank: a bank has no place for a parameter of this fit (--columns)",
+        )),
+        (None, true) => Ok(()),
+    }
+}
+
+/// Files of this command that an earlier run may have left.
+const RESULTS: [&str; 5] = [
+    "report.json",
+    "report.html",
+    "parameters.bank",
+    "robot.toml",
+    "robot.urdf",
+];
+
+/// Values joint by joint, N·m, separated by spaces.
+fn newton_metres(joints: &[Option<f64>]) -> String {
+    let shown = joints.iter().map(|value| ratio(*value));
+    shown.collect::<Vec<_>>().join(" ")
+}
+
+/// Prints the judgement of `--data-check`.
+///
+/// Errors: the first finding that refuses.
+fn show_check(judgement: &Judgement) -> Result<(), Failure> {
+    show!("rows every {:.3} ms", 1e3 * judgement.period_s)?;
+    for note in &judgement.notes {
+        show!("note  {note}")?;
+    }
+    for (number, joint) in (1..).zip(&judgement.joints) {
+        let scale = or_dash(joint.scale_ratio, |scale| format!("{scale:.2}"));
+        let (low, high) = joint.position_rad;
+        show!(
+            "joint {number}  {low:.2} … {high:.2} rad, {:.2} rad/s, torque {:.3} N·m RMS, noise {:.3} N·m, {:.0} % unexplained, {scale} × description",
+            joint.speed_rad_s,
+            joint.torque_rms_nm,
+            joint.noise_floor_nm,
+            100.0 * joint.unexplained_ratio
+        )?;
+    }
+    if let Some(condition) = judgement.condition_number_equilibrated {
+        show!("every parameter is shown, condition number {condition:.0} at unit length")?;
+    }
+    if let Some((delay_s, deviation_s)) = judgement.delay_s {
+        let [delay, deviation] = [delay_s, deviation_s].map(|time_s| 1e3 * time_s);
+        show!("torque delay {delay:.2} ± {deviation:.2} ms")?;
+    }
+    for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
+        show!("warning  {}", finding.text)?;
+    }
+    match judgement.findings.iter().find(|finding| finding.refuses) {
+        Some(finding) => Err(unusable(finding.text.clone())),
+        None => show!("no finding that refuses a bank"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::exit_code;
+    use super::*;
+
+    #[test]
+    fn a_run_without_a_bank_fails() {
+        let finding = Finding {
+            refuses: true,
+            text: "another arm".to_owned(),
+        };
+        for (refused, has_bank) in [(Some(&finding), false), (None, false)] {
+            let failure = verdict(refused, has_bank).expect_err("no bank");
+            assert_eq!(exit_code(&failure), 1);
+            assert!(failure.to_string().contains("no bank"), "{failure}");
+        }
+        assert!(verdict(None, true).is_ok());
+    }
+}

@@ -1,0 +1,163 @@
+use super::arm::RobotOptions;
+use super::boards::{BoardChoice, on_arm};
+use super::simulate::PERIOD_S;
+use super::terminal::Bar;
+use super::{Failure, bank, not_over, unsupported, unusable};
+use clap::Args;
+use foretorque::arm::Arm;
+use foretorque_workbench::closed_loop::motion_f32;
+use foretorque_workbench::dynamics::RigidBodies;
+use foretorque_workbench::joints;
+use foretorque_workbench::robot::Robot;
+use foretorque_workbench::table::{
+    StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns,
+};
+use foretorque_workbench::trajectory::Trajectory;
+use std::path::{Path, PathBuf};
+
+/// Feed-forward torque of every row of a table of states, computed by the firmware
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    robot: RobotOptions,
+    /// Board: native, qemu, qemu-usart or serial:PORT
+    #[arg(long, default_value = "native")]
+    board: BoardChoice,
+    /// Table with q1_rad…, qd1_rad_s…, qdd1_rad_s2… (CSV, or CSV.gz); t_s is optional
+    #[arg(long = "in", value_name = "FILE")]
+    #[arg(required_unless_present = "trajectory")]
+    input: Option<PathBuf>,
+    /// In place of a table: an excitation (.json), a path of the tool (.toml), a table with t_s, or `validation`, every
+    /// millisecond
+    #[arg(long, value_name = "FILE|validation", conflicts_with = "input")]
+    trajectory: Option<String>,
+    /// Write key of the board, 32 hexadecimal digits, where it takes signed banks only
+    #[arg(long, value_name = "FILE", requires = "bank")]
+    key_file: Option<PathBuf>,
+    /// Seed of the validation path
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Table to write: tau1_nm…; with a bank also rigid1_nm…, friction1_nm…, network1_nm…
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Parameter bank to load; without it the rigid-body torque of the description's parameters
+    #[arg(long, value_name = "FILE")]
+    bank: Option<PathBuf>,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    super::terminal::keep_stdout_for(&arguments.out);
+    let robot = &arguments.robot.load_coupled()?;
+    if robot.coupling.is_some() {
+        return joints!(robot.joint_count(), N => coupled::<N>(arguments, robot), else Err(unsupported(robot.joint_count())));
+    }
+    on_arm!(robot, A, N, P => torque::<A, N, P>(arguments, robot))
+}
+
+/// States one after the other, from a table or a trajectory.
+type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
+
+impl Arguments {
+    /// Whether the states have times, and the states.
+    fn states<const N: usize>(&self, robot: &Robot) -> Result<(bool, States<N>), Failure> {
+        if let Some(path) = &self.input {
+            let states = StateReader::<N>::open(path, TimeColumn::Optional)?;
+            return Ok((states.has_time(), Box::new(states)));
+        }
+        let name = self.trajectory.as_deref().unwrap_or_default();
+        let path = Trajectory::<N>::load(name, robot, self.seed, None, PERIOD_S)?;
+        let states = (0..=path.ticks(PERIOD_S)).map(move |tick| {
+            let t_s = tick as f64 * PERIOD_S;
+            Ok(StateRow {
+                t_s: Some(t_s),
+                motion: path.at(t_s),
+            })
+        });
+        Ok((true, Box::new(states)))
+    }
+}
+
+/// Starts a table of `shares` of the torque of every joint, beside the times if there are any.
+fn create(out: &Path, timed: bool, shares: &[&str], joints: usize) -> Result<TableWriter, Failure> {
+    let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
+    let columns = shares.iter();
+    header.extend(columns.flat_map(|share| joint_columns(share, "nm", joints)));
+    Ok(TableWriter::create(out, &header)?)
+}
+
+fn row<T: ToString>(t_s: Option<f64>, torques: impl Iterator<Item = T>) -> Vec<String> {
+    let time = t_s.iter().map(f64::to_string);
+    time.chain(torques.map(|torque| torque.to_string()))
+        .collect()
+}
+
+/// Writes the torques of drives that turn several joints, in f64: no board has them.
+fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
+    if arguments.bank.is_some() || arguments.board != BoardChoice::Native {
+        let reason = "boards have no coupled joints: leave out --bank and --board";
+        return Err(unusable(reason));
+    }
+    let model = RigidBodies::new(robot);
+    let (timed, states) = arguments.states::<N>(robot)?;
+    let mut table = create(&arguments.out, timed, &["tau", "rigid", "friction"], N)?;
+    for state in states {
+        let state = state?;
+        let motion = state.motion.into();
+        let rigid = model.inverse_dynamics(&motion);
+        let drives = robot.joints.iter().zip(motion.qd.iter());
+        let friction = drives.map(|(drive, qd)| drive.friction.sliding(*qd));
+        let friction: Vec<f64> = friction.collect();
+        let total = rigid.iter().zip(&friction).map(|(a, b)| a + b);
+        let shares = total.chain(rigid.iter().copied()).chain(friction.clone());
+        table.row(row(state.t_s, shares))?;
+    }
+    table.finish()?;
+    Ok(())
+}
+
+fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
+    arguments: &Arguments,
+    robot: &Robot,
+) -> Result<(), Failure> {
+    let files = [&arguments.input, &arguments.bank].map(|file| file.as_deref());
+    let trajectory = arguments.trajectory.as_deref().map(Path::new);
+    for read in files.into_iter().chain([trajectory]).flatten() {
+        not_over(read, &arguments.out)?;
+    }
+    let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
+    let (timed, states) = arguments.states::<N>(robot)?;
+    let mut board = arguments.board.connect::<A, N, P>(None)?;
+    if let Some(bank) = &bank {
+        if let Some(file) = &arguments.key_file {
+            board.set_write_key(bank::read_key(file)?);
+        }
+        board.upload_bank(bank)?;
+    }
+    let shares: &[&str] = match bank {
+        Some(_) => &["tau", "rigid", "friction", "network"],
+        None => &["tau"],
+    };
+    let mut table = create(&arguments.out, timed, shares, N)?;
+    let bar = Bar::new();
+    let mut rows = 0;
+    for state in states {
+        let state = state?;
+        let torque = board.evaluate(&motion_f32(&state.motion))?;
+        let shares = torque.shares;
+        let shares = match bank {
+            Some(_) => vec![torque.total, shares.rigid, shares.friction, shares.network],
+            None => vec![shares.rigid],
+        };
+        table.row(row(state.t_s, shares.iter().flatten()))?;
+        rows += 1;
+        if rows % 256 == 0 {
+            bar.show("torque", rows, rows);
+        }
+    }
+    if let (0, Some(path)) = (rows, &arguments.input) {
+        return Err(TableError::empty(path).into());
+    }
+    table.finish()?;
+    Ok(())
+}

@@ -1,0 +1,194 @@
+//! Boards on a pseudo-terminal: driven by the program and by the clients in one file each, and read along.
+
+use crate::{at_port, directory, files, has, python, refused, states, succeeds, text, write};
+use foretorque::arm::Arm;
+use foretorque::arm::panda::Panda;
+use foretorque::arm::ur5::{ParameterSet, Ur5};
+use foretorque::feedforward::evaluate;
+use foretorque::joint::{JointMotion, JointVector};
+use foretorque_link::bank::NETWORK_SEED;
+use foretorque_link::wire::{BoardMessage, Field, FrameBuffer, TelemetryFrame};
+use foretorque_workbench::board::{Native, Transport};
+use serialport::TTYPort;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+/// Output of `work` with the port of a pseudo-terminal at which `board` answers.
+fn with_board<T>(mut board: impl Transport + Send, work: impl FnOnce(&str) -> T) -> T {
+    let mut buffer = [0; 1024];
+    let answer = |line: &mut TTYPort| {
+        // Nothing received, or no process at the other end yet.
+        let Ok(count) = line.read(&mut buffer) else {
+            std::thread::sleep(Duration::from_millis(1));
+            return;
+        };
+        board.send(&buffer[..count]).expect("the board lives");
+        let count = board.receive(&mut buffer, Duration::ZERO);
+        let count = count.expect("the board lives");
+        // A host that has received enough hangs up.
+        let _ = line.write_all(&buffer[..count]);
+    };
+    at_port(answer, work)
+}
+
+fn ur5() -> Native<Ur5, 6, 40> {
+    Native::new().expect("the arm's limits are usable")
+}
+
+#[test]
+fn a_board_that_drives_another_robot_is_refused() {
+    let here = directory("other-robot");
+    write(here.join("states.csv"), states(6));
+    let panda = Native::<Panda, 7, 48>::new().expect("the arm's limits are usable");
+    with_board(panda, |port| {
+        let board = format!("--board serial:{port} --in states.csv --out tau.csv");
+        let (panda, ur5) = (Panda::HASH, Ur5::HASH);
+        let reason = format!("the board drives panda ({panda:08x}, 7 joints), not ur5 ({ur5:08x})");
+        refused(&here, &format!("torque --robot ur5 {board}"), reason);
+    });
+    assert_eq!(files(&here), ["states.csv"]);
+}
+
+#[test]
+fn a_board_on_a_serial_port_computes_torque() {
+    let here = directory("serial");
+    write(here.join("states.csv"), states(6));
+    let torque = "torque --robot ur5 --in states.csv --out";
+    with_board(ur5(), |port| {
+        succeeds(&here, &format!("{torque} tau.csv --board serial:{port}"))
+    });
+    succeeds(&here, &format!("{torque} native.csv"));
+    let [serial, native] = ["tau.csv", "native.csv"].map(|name| text(here.join(name)));
+    assert!(serial == native, "the port changes nothing");
+}
+
+#[test]
+fn a_line_is_read_along_without_a_byte_sent() {
+    let here = directory("record");
+    let (mut tick, mut received) = (0, 0);
+    let speak = |line: &mut TTYPort| {
+        tick += 10;
+        let mut record = TelemetryFrame {
+            tick,
+            fields: Field::Total.bit(),
+            bytes: Default::default(),
+        };
+        for value in [1.5_f32, 2.0, 2.5, 3.0, 3.5, 4.0] {
+            let bytes = value.to_le_bytes();
+            record.bytes.extend_from_slice(&bytes).expect("short");
+        }
+        let mut frame = FrameBuffer::new();
+        let record = BoardMessage::<6>::Telemetry(record);
+        frame.push(0, &record).expect("it fits");
+        let _ = line.write_all(frame.as_bytes());
+        received += line.read(&mut [0; 64]).unwrap_or(0);
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    let record = |port: &str| format!("record --board serial:{port} --duration-s 2 --out");
+    let (port, shown) = at_port(speak, |port| {
+        let shown = succeeds(&here, &format!("{} telemetry.csv", record(port)));
+        (port.to_owned(), shown)
+    });
+    assert_eq!(received, 0, "bytes were sent");
+    has(&shown, " records, 0 left out");
+    let table = text(here.join("telemetry.csv"));
+    let mut lines = table.lines();
+    let header = "t_s,total1_nm,total2_nm,total3_nm,total4_nm,total5_nm,total6_nm";
+    assert_eq!(lines.next(), Some(header));
+    let row = lines.next().expect("a record");
+    assert!(row.ends_with(",1.5,2,2.5,3,3.5,4"), "{row}");
+    refused(&here, &format!("{} silent.csv", record(&port)), &port);
+    assert_eq!(files(&here), ["telemetry.csv", "telemetry.mcap"]);
+}
+
+/// Pose in which the clients begin, rad.
+const START: &str = "0,-1.2,1.6,-2,-1.57,0.3";
+
+fn client(name: &str) -> PathBuf {
+    let clients = Path::new(env!("CARGO_MANIFEST_DIR")).join("clients");
+    clients.join(name)
+}
+
+/// Rows of the log that a client writes while it drives a board of the UR5 for a second.
+///
+/// * `command` the client, given the port of the board
+fn driven(log: &Path, command: impl FnOnce(&str) -> Command) -> Vec<Vec<f64>> {
+    let output = with_board(ur5(), |port| command(port).output());
+    let output = output.expect("the client starts");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{stderr}");
+    let stdout = String::from_utf8_lossy(&output.stdout);
+    assert!(stdout.starts_with("ur5, 6 joints\n"), "{stdout}");
+    let text = text(log);
+    let rows = text.lines().skip(1);
+    let number = |field: &str| field.parse().expect("a number");
+    rows.map(|row| row.split(',').map(number).collect())
+        .collect()
+}
+
+/// Both ends of a row: the torque is that of the description for the motion asked for.
+fn torques_are_those_of_the_description(rows: &[Vec<f64>]) {
+    assert_eq!(rows.len(), 1000);
+    let set = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
+    let vector =
+        |row: &[f64], first: usize| JointVector::<6>::from_fn(|j, _| row[1 + 6 * first + j] as f32);
+    // The torque has risen by the slew limit; the position asked for is measured in the row after.
+    for pair in rows[800..].windows(2) {
+        let motion = JointMotion {
+            q: vector(&pair[1], 0),
+            qd: vector(&pair[0], 1),
+            qdd: vector(&pair[0], 2),
+        };
+        let expected = evaluate::<Ur5, 6, 40>(&set, &motion).total;
+        let sent = vector(&pair[0], 4);
+        assert!((expected - sent).amax() < 0.02, "{expected} {sent}");
+    }
+}
+
+#[test]
+fn python_and_c_drive_a_board_and_get_the_same_torques() {
+    let here = directory("clients");
+    let mut logs = Vec::new();
+    if let Some(python) = python::with("termios") {
+        let log = here.join("python.csv");
+        logs.push(driven(&log, |port| {
+            let mut command = Command::new(python);
+            command.arg("-B").arg(client("foretorque.py")).arg(port);
+            command.args(["--seconds", "1", "--start", START, "--log"]);
+            command.arg(&log);
+            command
+        }));
+    }
+    let program = here.join("client");
+    let mut compiler = Command::new("cc");
+    compiler.args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-o"]);
+    compiler
+        .arg(&program)
+        .arg(client("foretorque.c"))
+        .arg("-lm");
+    match compiler.output() {
+        Err(error) => println!("skipped: cc: {error}"),
+        Ok(done) => {
+            let stderr = String::from_utf8_lossy(&done.stderr);
+            assert!(done.status.success(), "{stderr}");
+            let log = here.join("c.csv");
+            logs.push(driven(&log, |port| {
+                let mut command = Command::new(&program);
+                command.args([port, "1"]).arg(&log).arg(START);
+                command
+            }));
+        }
+    }
+    for rows in &logs {
+        torques_are_those_of_the_description(rows);
+    }
+    if let [python, c] = &logs[..] {
+        let torques = |rows: &[Vec<f64>]| -> Vec<f32> {
+            let torques = rows.iter().flat_map(|row| &row[25..31]);
+            torques.map(|tau| *tau as f32).collect()
+        };
+        assert!(torques(python) == torques(c), "the torques differ");
+    }
+}
