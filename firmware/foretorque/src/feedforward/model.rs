@@ -1,6 +1,6 @@
 //! The models a tick evaluates: the loaded one, and what was learnt since, for the motion it was learnt on.
 
-use super::config::FeedForwardConfig;
+use super::FeedForwardConfig;
 use super::shares::{JointShares, network_share};
 use crate::dynamics::{
     BaseParameters, FRICTION_COLUMNS, FrictionBound, FrictionColumn, FrictionParameters,

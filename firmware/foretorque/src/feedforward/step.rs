@@ -1,8 +1,7 @@
-use super::Torque;
-use super::config::FeedForwardConfig;
 use super::model::{AtSpeed, TickMotion};
 use super::shares::{Shares, select};
 use super::state::FeedForwardState;
+use super::{FeedForwardConfig, Torque};
 use crate::arm::Arm;
 use crate::dynamics::{Pose, cogging, rnea_of};
 use crate::joint::{JointSample, JointVector};

@@ -1,12 +1,11 @@
 mod bounds;
-mod correlation;
-mod variance;
+mod noise;
 
 use super::conditioning::ConditionedSample;
 use super::config::LearnerConfig;
+use super::parameters::StartDeviations;
 use super::parameters::{JointEntries, LinearParameters, ParameterSet};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
-use super::start_deviations::StartDeviations;
 use super::ud::UdFilter;
 use crate::arm::Arm;
 use crate::dynamics::{
@@ -16,8 +15,7 @@ use crate::joint::{JointMotion, JointVector};
 use crate::limits::cut;
 use crate::math::sqrt;
 use bounds::{BOUNDED, Violation};
-use correlation::NoiseCorrelation;
-use variance::{FIRST_ROWS, FIRST_VARIANCE, MEDIAN_SQUARED, update_variance};
+use noise::{FIRST_ROWS, FIRST_VARIANCE, MEDIAN_SQUARED, NoiseCorrelation, update_variance};
 
 /// Prior factors added in one tick after a reset; all are added before the measurement window is full.
 const FACTORS_PER_TICK: usize = 3;

@@ -15,7 +15,6 @@ use std::collections::VecDeque;
 mod convergence;
 mod events;
 mod other_arms;
-mod rivals;
 
 const N: usize = 6;
 const P: usize = 40;

@@ -1,4 +1,4 @@
-use super::variance::EFFECTIVE_ROWS;
+use super::noise::EFFECTIVE_ROWS;
 use super::*;
 use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use crate::dynamics::DISSIPATION_BOUNDS;
