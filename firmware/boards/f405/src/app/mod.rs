@@ -16,10 +16,8 @@
 //!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
-mod idle;
 mod start;
 
-pub use idle::Idle;
 pub use start::{Started, Statics, start};
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -30,14 +28,15 @@ use foretorque_link::wire::{FrameBuffer, MAX_FRAME};
 use rtic::Mutex;
 use stm32f4xx_hal::pac::Interrupt;
 
-use crate::arm::{BoardMailboxes, BoardSession, Learner};
+use crate::arm::{BoardHousekeeping, BoardMailboxes, BoardSession, Learner};
 use crate::board::{Board, Drive as _};
 use crate::counter;
 use crate::fault::{self, Reason};
 use crate::frame_bound::FrameBound;
-use crate::link::{self, RECEIVE_RING, Receiver, Sender, TRANSMIT_RING, Wire};
+use crate::link::{self, RECEIVE_RING, RECEIVED, Receiver, Sender, TRANSMIT_RING, Wire};
+use crate::log;
 use crate::tick_timer::{self, TickTimer};
-use crate::watchdog::{self, TASKS};
+use crate::watchdog::{self, TASKS, Watchdog};
 
 /// Interrupt of the tick's task.
 pub(crate) const TICK: Interrupt = Interrupt::EXTI1;
@@ -189,6 +188,71 @@ pub fn learn(learner: &mut Learner, mailboxes: &mut impl Mutex<T = &'static mut 
         rtic::pend(TICK);
     }
     TASKS.check_in(Task::Learner);
+}
+
+/// Ticks between two lines of the log.
+const LOG_EVERY: u32 = 1000;
+
+/// The idle loop: log, store, watchdog.
+pub struct Idle {
+    watchdog: Watchdog,
+    housekeeping: &'static mut BoardHousekeeping,
+    drain: Option<log::Drain>,
+}
+
+impl Idle {
+    /// Never returns.
+    #[inline(always)]
+    pub fn run<B: Board>(
+        &mut self,
+        mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>,
+    ) -> ! {
+        let (mut logged, mut ordered) = (0, false);
+        loop {
+            let ticks = TICKS.load(Ordering::Relaxed);
+            if ticks.wrapping_sub(logged) >= LOG_EVERY {
+                logged = ticks;
+                let cost = link::receive_cost();
+                defmt::info!(
+                    "tick {=u32}: {=u32} bytes in at {=u32} counts (max {=u32}), {=u32} lost, {=u32} overruns, {=u32} ticks missed",
+                    ticks,
+                    RECEIVED.bytes.load(Ordering::Relaxed),
+                    cost.mean,
+                    cost.max,
+                    RECEIVED.lost.load(Ordering::Relaxed),
+                    RECEIVED.overruns.load(Ordering::Relaxed),
+                    tick_timer::missed()
+                );
+            }
+            B::Drive::report();
+            if let Some(drain) = &self.drain {
+                drain.empty();
+            }
+            TASKS.check_in(Task::Housekeeping);
+            let fed = self.watchdog.feed_if_all_present();
+            let housekeeping = &mut *self.housekeeping;
+            ordered |= mailboxes.lock(|mailboxes| housekeeping.begin(&mut mailboxes.parameters));
+            // An erase begins only after a complete check-in: it gives the watchdog a longer time.
+            if ordered && (fed || !housekeeping.erases()) {
+                ordered = false;
+                let outcome = if housekeeping.erases() {
+                    self.watchdog.patient(|| housekeeping.execute())
+                } else {
+                    housekeeping.execute()
+                };
+                mailboxes.lock(|mailboxes| housekeeping.finish(&mut mailboxes.parameters, outcome));
+                // It replies to the host.
+                rtic::pend(TICK);
+            }
+            // A tick that came since the beginning of this round may have left work: an interrupt that is only pending
+            // ends the wait too, so none is slept through.
+            cortex_m::interrupt::free(|_| {
+                if !TICKED.swap(false, Ordering::Relaxed) {
+                    cortex_m::asm::wfi();
+                }
+            });
+        }
+    }
 }
 
 /// The firmware of a board, for the arm of [`arm`](crate::arm): its interrupts and fault handlers.

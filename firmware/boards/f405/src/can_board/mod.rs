@@ -15,7 +15,6 @@
 //! go on passing. In the emulator USART6 and UART4 carry the frames of both CAN ports. It has not run on silicon.
 
 mod ports;
-mod text;
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -35,11 +34,9 @@ use stm32f4xx_hal::rcc::Rcc;
 
 use crate::app::TICK;
 use crate::arm::{Arm, BoardSession, JOINTS, PARAMETERS};
-use crate::board::{Board, Drive, Pin, Ports, start_link};
+use crate::board::{Board, Drive, EnablePin, Pin, Ports, start_link, switch};
 use crate::clock::Clocks;
 use crate::counter;
-use crate::drive::switch;
-use crate::fault::EnablePin;
 use crate::link::{self, Receiver, Sender};
 use crate::pyboard::Pyboard;
 use ports::FramePort;

@@ -1,13 +1,15 @@
-//! The two ports: CAN controllers, or serial ports with lines of text.
+//! The two ports: CAN controllers, or serial ports.
+//!
+//! A serial port carries frames as lines of text: for a moteus on its UART, its client on the other port, and in the emulator,
+//! which has no CAN, both buses.
 
 use foretorque_link::bus::{Role, Wires, Wiring};
 use foretorque_link::drives::Frame;
 use foretorque_link::drives::in_line::Port;
-use foretorque_link::drives::text::Direction;
+use foretorque_link::drives::text::{Direction, Line, read_line, write_line};
 use foretorque_link::wire::ClockSource;
 use stm32f4xx_hal::pac::Interrupt;
 
-use super::text::{TextPort, Uart};
 use crate::arm::JOINTS;
 use crate::can::{Bxcan, Controller, Peripheral, open_filters, timing};
 use crate::clock::Clocks;
@@ -117,5 +119,147 @@ pub(super) fn unmask() {
             core.NVIC.set_priority(interrupt, PRIORITY);
             cortex_m::peripheral::NVIC::unmask(interrupt);
         }
+    }
+}
+
+/// Bit rate of moteus and its client.
+const BAUD: u32 = 921_600;
+/// Bytes taken and put in one call, at most: a line; it bounds the time of a port with wrong flags.
+const CHUNK_BYTES: usize = 176;
+
+/// Acknowledgement of a line, with its sum: the client of moteus drops a line without one.
+const ACKNOWLEDGEMENT: &[u8] = b"OK *BD\n";
+
+const RXNE: u32 = 1 << 5;
+const ORE: u32 = 1 << 3;
+const TXE: u32 = 1 << 7;
+const TXEIE: u32 = 1 << 7;
+/// Port, receiver, its interrupt and transmitter.
+const ON: u32 = 1 << 13 | RXNE | 1 << 3 | 1 << 2;
+
+/// A serial port of the chip (RM0090 30.6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Uart {
+    /// UART4, on PA0 and PA1.
+    Uart4,
+    /// USART6, on PC6 and PC7.
+    Usart6,
+}
+
+impl Uart {
+    fn register(self, offset: usize) -> *mut u32 {
+        let base: usize = match self {
+            Self::Uart4 => 0x4000_4c00,
+            Self::Usart6 => 0x4001_1400,
+        };
+        (base + offset) as *mut u32
+    }
+
+    fn read(self, offset: usize) -> u32 {
+        // SAFETY: a register of a peripheral that only the one [`TextPort`] on it uses.
+        unsafe { self.register(offset).read_volatile() }
+    }
+
+    fn write(self, offset: usize, value: u32) {
+        // SAFETY: as in `read`.
+        unsafe { self.register(offset).write_volatile(value) }
+    }
+}
+
+const SR: usize = 0x00;
+const DR: usize = 0x04;
+const BRR: usize = 0x08;
+const CR1: usize = 0x0c;
+
+/// Port whose frames are lines.
+pub(super) struct TextPort {
+    uart: Uart,
+    direction: Direction,
+    /// Lines that arrive are acknowledged, as an adapter does: for moteus' client, and for the tests.
+    acknowledges: bool,
+    waiting_acks: u8,
+    received: Line,
+    /// The line under way is longer than any frame.
+    overlong: bool,
+    sending: Line,
+    sent: usize,
+}
+
+impl TextPort {
+    /// Starts the port. At most one exists on a `uart`, whose clock runs.
+    ///
+    /// * `direction` of the lines that this port sends
+    fn start(uart: Uart, clock_hz: u32, direction: Direction, acknowledges: bool) -> Self {
+        uart.write(BRR, (clock_hz + BAUD / 2) / BAUD);
+        uart.write(CR1, ON);
+        Self {
+            uart,
+            direction,
+            acknowledges,
+            waiting_acks: 0,
+            received: Line::new(),
+            overlong: false,
+            sending: Line::new(),
+            sent: 0,
+        }
+    }
+
+    /// Moves bytes of the line under way to the port while it takes them.
+    fn pump(&mut self) {
+        for _ in 0..2 * CHUNK_BYTES {
+            if self.uart.read(SR) & TXE == 0 {
+                break;
+            }
+            if self.sent == self.sending.len() && self.waiting_acks > 0 {
+                self.waiting_acks -= 1;
+                self.sent = 0;
+                self.sending.clear();
+                // It has room for more.
+                let _ = self.sending.extend_from_slice(ACKNOWLEDGEMENT);
+            }
+            let Some(&byte) = self.sending.get(self.sent) else {
+                break;
+            };
+            self.uart.write(DR, byte.into());
+            self.sent += 1;
+        }
+        let unfinished = self.sent < self.sending.len();
+        self.uart
+            .write(CR1, if unfinished { ON | TXEIE } else { ON });
+    }
+}
+
+impl Port for TextPort {
+    fn receive(&mut self) -> Option<Frame> {
+        self.pump();
+        for _ in 0..CHUNK_BYTES {
+            // Reading status and then data also clears the error flags (RM0090 30.6.1).
+            if self.uart.read(SR) & (RXNE | ORE) == 0 {
+                return None;
+            }
+            let byte = self.uart.read(DR) as u8;
+            if byte != b'\n' {
+                self.overlong |= self.received.push(byte).is_err();
+                continue;
+            }
+            let overlong = core::mem::take(&mut self.overlong);
+            let frame = read_line(&self.received).filter(|_| !overlong);
+            self.received.clear();
+            if frame.is_some() {
+                self.waiting_acks += u8::from(self.acknowledges && self.waiting_acks < u8::MAX);
+                return frame;
+            }
+        }
+        None
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        let free = self.sent == self.sending.len();
+        if free {
+            self.sending = write_line(frame, self.direction);
+            self.sent = 0;
+            self.pump();
+        }
+        free
     }
 }
