@@ -121,24 +121,15 @@ impl<const N: usize> Torque<N> {
 
 /// The feed-forward of one arm: configuration, state and scratch in one place.
 ///
-/// One tick, with the learner that works in its slack:
+/// One tick; the example of the [crate](crate) has the learner beside it.
 /// ```
-/// use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
+/// use foretorque::arm::ur5::{FeedForward, ParameterSet, Ur5};
 /// use foretorque::feedforward::FeedForwardConfig;
-/// use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+/// use foretorque::joint::{JointMotion, JointSample};
 ///
-/// const PERIOD_S: f32 = 1e-3;
-/// let set = ParameterSet::nominal::<Ur5>(1);
-/// let config = FeedForwardConfig::for_arm::<Ur5, _>(PERIOD_S);
-/// let mut feedforward = FeedForward::new(config, set)?;
-/// let mut learner = Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD_S), set)?;
-/// let mut exchange = Exchange::new();
-/// feedforward.set_learning(true);
-///
-/// let measured = Some(JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() });
-/// feedforward.adopt(&mut exchange);
-/// let torque = feedforward.step(&JointSample { desired: JointMotion::zero(), measured });
-/// learner.learn(&feedforward.learning_sample(measured), &mut exchange);
+/// let config = FeedForwardConfig::for_arm::<Ur5, _>(1e-3);
+/// let mut feedforward = FeedForward::new(config, ParameterSet::nominal::<Ur5>(1))?;
+/// let torque = feedforward.step(&JointSample { desired: JointMotion::zero(), measured: None });
 ///
 /// // At q = 0 the arm lies stretched out: the shoulder holds it up, from rest by the slew limit.
 /// assert!(torque.shares.rigid[1].abs() > 30.0);

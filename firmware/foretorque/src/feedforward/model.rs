@@ -238,12 +238,12 @@ impl<const N: usize, const P: usize> Difference<N, P> {
     /// Shares of `joint` of a set that differs from the loaded one by `self`: the loaded set's `rigid` and `friction` for
     /// the desired motion, plus the learnt difference for the motion inside the learnt range.
     ///
-    /// * `rigid` torque of the loaded rigid body and of what was learnt of it, N·m
+    /// * `learnt` torque of the difference of the rigid bodies, N·m
     #[inline(always)]
     pub(super) fn shares(
         &self,
         joint: usize,
-        (rigid, friction): (f32, f32),
+        [rigid, friction, learnt]: [f32; 3],
         network: &JointNetwork,
         [desired, bounded]: [&AtSpeed; 2],
         torque_limit: f32,
@@ -255,7 +255,7 @@ impl<const N: usize, const P: usize> Difference<N, P> {
             desired
         };
         JointShares {
-            rigid,
+            rigid: rigid + self.share[joint] * learnt,
             friction: friction + bounded.friction(&self.friction[joint]),
             network: network_share(network, &speed.inputs.into(), torque_limit, flags),
         }

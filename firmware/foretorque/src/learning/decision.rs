@@ -171,6 +171,11 @@ impl DecisionLog {
         })
     }
 
+    /// Decisions from number `index` on that are still in the ring, the oldest first.
+    pub fn since(&self, index: u32) -> impl Iterator<Item = Decision> {
+        (index..self.count).filter_map(|index| self.get(index))
+    }
+
     /// Newest decision.
     pub fn newest(&self) -> Option<Decision> {
         self.get(self.count.wrapping_sub(1))

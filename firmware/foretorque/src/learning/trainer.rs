@@ -76,26 +76,10 @@ impl PairedSum {
         squares: 0.0,
     };
 
-    /// Multiply both sums by `factor`.
-    fn fade(&mut self, factor: f32) {
-        self.sum *= factor;
-        self.squares *= factor;
-    }
-
-    /// Add the difference `d`.
-    fn add(&mut self, d: f32) {
-        self.sum += d;
-        self.squares += d * d;
-    }
-
     /// True if t > `sigmas`.
     fn is_above(&self, sigmas: f32) -> bool {
-        self.signed_square() > sigmas * sigmas * self.squares
-    }
-
-    /// Σ d |Σ d|: comparing squares avoids the root.
-    fn signed_square(&self) -> f32 {
-        self.sum * self.sum.abs()
+        // Comparing squares avoids the root.
+        self.sum * self.sum.abs() > sigmas * sigmas * self.squares
     }
 }
 
@@ -128,8 +112,8 @@ impl BlockSum {
             return None;
         }
         let fade = (1.0 - self.rows as f32 / memory).max(0.0);
-        self.total.fade(fade);
-        self.total.add(self.block);
+        self.total.sum = self.total.sum * fade + self.block;
+        self.total.squares = self.total.squares * fade + self.block * self.block;
         (self.block, self.rows) = (0.0, 0);
         Some(fade)
     }

@@ -76,9 +76,8 @@ impl Cell {
     /// Decisions since the last call.
     fn decisions(&mut self) -> Vec<Decision> {
         let log = self.board.learner.state().report.decisions;
-        let new = (self.read..log.count()).filter_map(|index| log.get(index));
-        self.read = log.count();
-        new.collect()
+        let read = core::mem::replace(&mut self.read, log.count());
+        log.since(read).collect()
     }
 
     fn payload(&self) -> PayloadEstimate {
@@ -340,8 +339,8 @@ fn reversals(opposed: u32, friction: f32) -> usize {
             assert_eq!(board.active().friction, wrong_prior(1).friction);
         }
         let log = board.learner.state().report.decisions;
-        let new = (read..log.count()).filter_map(|index| log.get(index));
-        count += new.filter(|new| new.reason == Reason::Reversed).count();
+        let reversed = |decision: &Decision| decision.reason == Reason::Reversed;
+        count += log.since(read).filter(reversed).count();
         read = log.count();
     }
     assert!(read < 50, "{read} decisions");
@@ -372,8 +371,7 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
     let mut plant = Plant::new(AS_IT_IS);
     board.feedforward.set_learning(true);
     let reasons = |board: &Board| {
-        let log = board.learner.state().report.decisions;
-        let all = (0..log.count()).filter_map(|index| log.get(index));
+        let all = board.learner.state().report.decisions.since(0);
         all.map(|decision| decision.reason).collect::<Vec<_>>()
     };
     for tick in 0..3000 {

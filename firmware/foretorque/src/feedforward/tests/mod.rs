@@ -9,7 +9,6 @@ use crate::joint::JointMotion;
 use crate::learning::{LearnerReport, LearntShare, MotionRange, Publication};
 
 mod adoption;
-mod flags;
 mod limits;
 
 const N: usize = 6;
@@ -268,18 +267,21 @@ fn without_samples_the_torque_is_held_then_slewed_to_zero() {
 
 #[test]
 fn a_desired_motion_that_is_not_finite_is_no_sample() {
-    let mut broken = motion(0.3);
-    broken.qdd[5] = f32::NAN;
-    let (mut fed, mut starved) = (tick(set()), tick(set()));
-    settled(&mut fed, &motion(0.3));
-    settled(&mut starved, &motion(0.3));
-    for _ in 0..40 {
-        let torque = fed.step(&sample(broken));
-        assert!(
-            torque
-                .flags
-                .contains(Flags::STALE_SAMPLE | Flags::NOT_FINITE)
-        );
-        assert_eq!(torque.total, starved.step_stale().total);
+    let changes: [fn(&mut JointMotion<N>) -> &mut f32; 3] =
+        [|m| &mut m.q[2], |m| &mut m.qd[2], |m| &mut m.qdd[2]];
+    for change in changes {
+        for bad in [f32::NAN, f32::INFINITY] {
+            let mut broken = motion(0.3);
+            *change(&mut broken) = bad;
+            let (mut fed, mut starved) = (tick(set()), tick(set()));
+            settled(&mut fed, &motion(0.3));
+            settled(&mut starved, &motion(0.3));
+            for _ in 0..40 {
+                let torque = fed.step(&sample(broken));
+                let flags = Flags::STALE_SAMPLE | Flags::NOT_FINITE;
+                assert!(torque.flags.contains(flags));
+                assert_eq!(torque.total, starved.step_stale().total);
+            }
+        }
     }
 }

@@ -47,6 +47,12 @@ fn learn_ticks(learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>, e
     }
 }
 
+/// A decision with this reason is in the log.
+fn has_decided(learner: &Learner<Ur5, N, P>, reason: Reason) -> bool {
+    let mut decisions = learner.state.report.decisions.since(0);
+    decisions.any(|decision| decision.reason == reason)
+}
+
 #[test]
 fn with_learning_off_only_the_window_fills() {
     let mut learner = learner();
@@ -320,13 +326,7 @@ fn a_network_that_costs_is_silenced_under_a_payload_too() {
     }
     learn_ticks(&mut learner, 90..6000, true);
     assert!(learner.state.estimate == estimate, "it pauses");
-    let decisions = &learner.state.report.decisions;
-    let silenced = (0..decisions.count()).filter_map(|index| decisions.get(index));
-    assert!(
-        silenced
-            .map(|decision| decision.reason)
-            .any(|reason| reason == Reason::NetworkSilenced)
-    );
+    assert!(has_decided(&learner, Reason::NetworkSilenced));
 }
 
 /// Request at `tick` that takes effect with its sample, with the decision `reason`.
@@ -442,9 +442,7 @@ fn released(felt: f32, estimated: f32) -> Option<u32> {
             released = Some(tick);
         }
     }
-    let decisions = &learner.state.report.decisions;
-    let mut decisions = (0..decisions.count()).filter_map(|index| decisions.get(index));
-    let recorded = decisions.any(|decision| decision.reason == Reason::Released);
+    let recorded = has_decided(&learner, Reason::Released);
     assert_eq!(recorded, released.is_some());
     released
 }

@@ -98,7 +98,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 }
                 state.restore();
                 let supervisor = &mut state.supervisor;
-                supervisor.payload_filter = *supervisor.payload_test.filter();
+                supervisor.payload_filter = supervisor.payload_test.filter;
                 let payload = supervisor.payload_filter.payload();
                 supervisor.set_payload::<A>(&payload);
                 supervisor.blocks_carried = 0;
@@ -140,9 +140,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     pub(super) fn end_payload_test(&mut self, tick: u32, decision: PayloadDecision) {
         let supervisor = &self.state.supervisor;
         let test = &supervisor.payload_test;
-        let ticks = test.blocks() as f32 * self.config.supervisor.block_ticks as f32;
+        let ticks = test.blocks as f32 * self.config.supervisor.block_ticks as f32;
         let mass = match decision {
-            PayloadDecision::Promote => test.filter().payload()[0],
+            PayloadDecision::Promote => test.filter.payload()[0],
             _ => supervisor.payload[0],
         };
         let evidence = Evidence::Payload {

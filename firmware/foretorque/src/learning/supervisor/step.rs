@@ -256,100 +256,55 @@ mod tests {
 
     #[test]
     fn every_event_has_its_transition() {
+        use PayloadDecision::{Promote, Refuse, Release, Transient};
         use Phase::{Healthy, PayloadTest, Relearning, Stopped};
-        let refusal = payload(PayloadDecision::Refuse(Reason::Uncertain, 0.4));
-        let rows = [
+        use Request::{Commit, Rollback, Snapshot, ZeroPayload};
+        let refuse = Refuse(Reason::Uncertain, 0.4);
+        let to_snapshot = request(Rollback, true);
+        let without = |what| request(what, false);
+        // Phase, event; next phase, action, reason with its figure.
+        for (phase, evidence, wanted) in [
             (
                 Healthy,
                 Evidence::Change(26.0),
-                PayloadTest,
-                Action::TestPayload,
-                (Reason::Alarm, 26.0),
+                "PayloadTest TestPayload Alarm 26",
             ),
+            (PayloadTest, payload(Promote), "Healthy Promote Promoted 2"),
+            (Healthy, payload(Promote), "Healthy Promote Promoted 2"),
+            (PayloadTest, payload(Release), "Healthy Release Released 2"),
             (
                 PayloadTest,
-                payload(PayloadDecision::Promote),
-                Healthy,
-                Action::Promote,
-                (Reason::Promoted, 2.0),
-            ),
-            (
-                Healthy,
-                payload(PayloadDecision::Promote),
-                Healthy,
-                Action::Promote,
-                (Reason::Promoted, 2.0),
+                payload(Transient),
+                "Healthy Resume Transient 0.1",
             ),
             (
                 PayloadTest,
-                payload(PayloadDecision::Release),
-                Healthy,
-                Action::Release,
-                (Reason::Released, 2.0),
+                payload(refuse),
+                "Relearning Relearn Uncertain 0.4",
             ),
-            (
-                PayloadTest,
-                payload(PayloadDecision::Transient),
-                Healthy,
-                Action::Resume,
-                (Reason::Transient, 0.1),
-            ),
-            (
-                PayloadTest,
-                refusal,
-                Relearning,
-                Action::Relearn,
-                (Reason::Uncertain, 0.4),
-            ),
-            (
-                Stopped,
-                Evidence::Off,
-                Healthy,
-                Action::None,
-                (Reason::Resumed, 0.0),
-            ),
+            (Stopped, Evidence::Off, "Healthy None Resumed 0"),
+            (Relearning, to_snapshot, "Healthy Rollback RolledBack 0"),
             (
                 Relearning,
-                request(Request::Rollback, true),
-                Healthy,
-                Action::Rollback,
-                (Reason::RolledBack, 0.0),
-            ),
-            (
-                Relearning,
-                request(Request::Rollback, false),
-                Relearning,
-                Action::None,
-                (Reason::RequestRefused, 2.0),
+                without(Rollback),
+                "Relearning None RequestRefused 2",
             ),
             (
                 PayloadTest,
-                request(Request::ZeroPayload, false),
-                Healthy,
-                Action::Release,
-                (Reason::PayloadZeroed, 2.0),
+                without(ZeroPayload),
+                "Healthy Release PayloadZeroed 2",
             ),
+            (Healthy, without(Commit), "Healthy Commit Committed 0"),
             (
                 Healthy,
-                request(Request::Commit, false),
-                Healthy,
-                Action::Commit,
-                (Reason::Committed, 0.0),
+                without(Snapshot),
+                "Healthy Snapshot SnapshotTaken 0",
             ),
-            (
-                Healthy,
-                request(Request::Snapshot, false),
-                Healthy,
-                Action::Snapshot,
-                (Reason::SnapshotTaken, 0.0),
-            ),
-        ];
-        for (phase, evidence, next, action, reason) in rows {
-            assert_eq!(
-                after(phase, evidence),
-                (next, action, Some(reason)),
-                "{phase:?} {evidence:?}"
-            );
+        ] {
+            let (next, action, reason) = after(phase, evidence);
+            let (reason, figure) = reason.expect("a reason");
+            let decided = std::format!("{next:?} {action:?} {reason:?} {figure}");
+            assert_eq!(decided, wanted, "{phase:?} {evidence:?}");
         }
         for phase in [Healthy, PayloadTest, Relearning, Stopped] {
             let stopped = (Stopped, Action::Restore, Some((Reason::FrozenStopped, 0.0)));
