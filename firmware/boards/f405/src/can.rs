@@ -7,7 +7,7 @@
 use foretorque_link::drives::Frame;
 use foretorque_link::drives::in_line::Port;
 
-/// Registers of one controller, by their offset in bytes.
+/// Registers of one controller or port, by their offset in bytes.
 pub trait Registers {
     /// Reads a register.
     fn read(&self, offset: usize) -> u32;
@@ -67,15 +67,6 @@ const RQCP: u32 = 1 | 1 << 8 | 1 << 16;
 const FINIT: u32 = 1;
 /// First filter bank of CAN2.
 const CAN2_BANK: u32 = 14;
-
-/// Controller of the chip.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Controller {
-    /// CAN1, which holds the filters of both.
-    Can1,
-    /// CAN2; it receives once [`open_filters`] has been called with the registers of CAN1.
-    Can2,
-}
 
 /// Reason why a frame is not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -222,29 +213,35 @@ impl<R: Registers> Port for Bxcan<R> {
     }
 }
 
-/// Registers of the chip.
+/// Registers of a peripheral of the chip, by its address.
 #[cfg(target_os = "none")]
 #[derive(Debug)]
-pub struct Peripheral(Controller);
+pub struct Peripheral(usize);
 
 #[cfg(target_os = "none")]
 impl Peripheral {
-    /// Registers of `controller`.
+    /// CAN1, which holds the filters of both controllers.
+    pub const CAN1: usize = 0x4000_6400;
+    /// CAN2; it receives once [`open_filters`] has been called with the registers of CAN1.
+    pub const CAN2: usize = 0x4000_6800;
+    /// UART4.
+    pub const UART4: usize = 0x4000_4c00;
+    /// USART6.
+    pub const USART6: usize = 0x4001_1400;
+
+    /// Registers of the peripheral at `address`.
     ///
     /// # Safety
     ///
-    /// At most one value exists for each controller, nothing else uses its registers, and its clock runs.
-    pub const unsafe fn new(controller: Controller) -> Self {
-        Self(controller)
+    /// The address is one of those above. At most one value exists for it, nothing else uses its registers, and its clock
+    /// runs.
+    pub const unsafe fn new(address: usize) -> Self {
+        Self(address)
     }
 
     fn address(&self, offset: usize) -> *mut u32 {
-        let base: usize = match self.0 {
-            Controller::Can1 => 0x4000_6400,
-            Controller::Can2 => 0x4000_6800,
-        };
         // A peripheral has 1 KiB of registers, each of 32 bits.
-        (base + (offset & 0x3fc)) as *mut u32
+        (self.0 + (offset & 0x3fc)) as *mut u32
     }
 }
 

@@ -11,7 +11,7 @@ use foretorque_link::wire::ClockSource;
 use stm32f4xx_hal::pac::Interrupt;
 
 use crate::arm::JOINTS;
-use crate::can::{Bxcan, Controller, Peripheral, open_filters, timing};
+use crate::can::{Bxcan, Peripheral, Registers as _, open_filters, timing};
 use crate::clock::Clocks;
 
 /// Bit rate of a board without a wiring, bit/s.
@@ -83,16 +83,19 @@ pub(super) fn start(clocks: &Clocks, wiring: Option<&Wiring<JOINTS>>) -> [FrameP
             2 * clocks.apb1_hz
         };
         let acknowledges = in_line || emulated;
+        // SAFETY: the first and only values of both, whose clocks run.
+        let [usart6, uart4] =
+            unsafe { [Peripheral::USART6, Peripheral::UART4].map(|at| Peripheral::new(at)) };
         return [
-            TextPort::start(Uart::Usart6, apb2_hz, first, acknowledges),
-            TextPort::start(Uart::Uart4, clocks.apb1_hz, Direction::Send, emulated),
+            TextPort::start(usart6, apb2_hz, first, acknowledges),
+            TextPort::start(uart4, clocks.apb1_hz, Direction::Send, emulated),
         ]
         .map(FramePort::Text);
     }
     let bit_s = wiring.map_or(BIT_S, |wiring| wiring.bit_s);
     // SAFETY: the first and only values of both, whose clocks run.
     let [mut can1, can2] =
-        unsafe { [Controller::Can1, Controller::Can2].map(|c| Peripheral::new(c)) };
+        unsafe { [Peripheral::CAN1, Peripheral::CAN2].map(|at| Peripheral::new(at)) };
     open_filters(&mut can1);
     let started = |registers| {
         let timing = timing(clocks.apb1_hz, bit_s)?;
@@ -137,35 +140,7 @@ const TXEIE: u32 = 1 << 7;
 /// Port, receiver, its interrupt and transmitter.
 const ON: u32 = 1 << 13 | RXNE | 1 << 3 | 1 << 2;
 
-/// A serial port of the chip (RM0090 30.6).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Uart {
-    /// UART4, on PA0 and PA1.
-    Uart4,
-    /// USART6, on PC6 and PC7.
-    Usart6,
-}
-
-impl Uart {
-    fn register(self, offset: usize) -> *mut u32 {
-        let base: usize = match self {
-            Self::Uart4 => 0x4000_4c00,
-            Self::Usart6 => 0x4001_1400,
-        };
-        (base + offset) as *mut u32
-    }
-
-    fn read(self, offset: usize) -> u32 {
-        // SAFETY: a register of a peripheral that only the one [`TextPort`] on it uses.
-        unsafe { self.register(offset).read_volatile() }
-    }
-
-    fn write(self, offset: usize, value: u32) {
-        // SAFETY: as in `read`.
-        unsafe { self.register(offset).write_volatile(value) }
-    }
-}
-
+// Registers of a serial port (RM0090 30.6).
 const SR: usize = 0x00;
 const DR: usize = 0x04;
 const BRR: usize = 0x08;
@@ -173,7 +148,7 @@ const CR1: usize = 0x0c;
 
 /// Port whose frames are lines.
 pub(super) struct TextPort {
-    uart: Uart,
+    uart: Peripheral,
     direction: Direction,
     /// Lines that arrive are acknowledged, as an adapter does: for moteus' client, and for the tests.
     acknowledges: bool,
@@ -186,10 +161,15 @@ pub(super) struct TextPort {
 }
 
 impl TextPort {
-    /// Starts the port. At most one exists on a `uart`, whose clock runs.
+    /// Starts the port on UART4 or USART6.
     ///
     /// * `direction` of the lines that this port sends
-    fn start(uart: Uart, clock_hz: u32, direction: Direction, acknowledges: bool) -> Self {
+    fn start(
+        mut uart: Peripheral,
+        clock_hz: u32,
+        direction: Direction,
+        acknowledges: bool,
+    ) -> Self {
         uart.write(BRR, (clock_hz + BAUD / 2) / BAUD);
         uart.write(CR1, ON);
         Self {
