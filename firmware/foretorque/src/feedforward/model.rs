@@ -279,11 +279,8 @@ mod tests {
             for qd in [-3.0, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.21, 3.0] {
                 let desired = AtSpeed::new(qd, cogging, load);
                 let direct = AtSpeed::new(cut(qd, edge).0, cogging, load);
-                assert_eq!(
-                    range.cut(0, qd, load, &desired),
-                    direct,
-                    "{qd} beyond {edge}"
-                );
+                let cut = range.cut(0, qd, load, &desired);
+                assert_eq!(cut, direct, "{qd} beyond {edge}");
             }
         }
     }

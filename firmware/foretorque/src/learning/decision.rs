@@ -189,10 +189,8 @@ mod tests {
     #[test]
     fn every_code_means_its_reason() {
         for (code, reason) in (1..).zip(Reason::ALL) {
-            assert_eq!(
-                (reason as u8, Reason::from_code(code)),
-                (code, Some(reason))
-            );
+            assert_eq!(reason as u8, code);
+            assert_eq!(Reason::from_code(code), Some(reason));
         }
         assert_eq!([0, 26].map(Reason::from_code), [None; 2]);
     }
@@ -212,11 +210,8 @@ mod tests {
         }
         for index in 0..25 {
             let logged = log.get(index).map(|decision| decision.tick);
-            assert_eq!(
-                logged,
-                (12..20).contains(&index).then_some(index),
-                "{index}"
-            );
+            let kept = (12..20).contains(&index).then_some(index);
+            assert_eq!(logged, kept, "{index}");
         }
     }
 }

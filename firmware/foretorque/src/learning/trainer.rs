@@ -369,10 +369,8 @@ mod tests {
         }
         // 3 σ of equal observations are nine.
         let soonest = 9 * BLOCK_ROWS - 1;
-        assert!(
-            promoted.is_some_and(|k| (soonest..6 * soonest).contains(&k)),
-            "{promoted:?}"
-        );
+        let in_time = promoted.is_some_and(|k| (soonest..6 * soonest).contains(&k));
+        assert!(in_time, "{promoted:?}");
         for qd in [-1.5, -0.1, 0.1, 1.5] {
             let output = active.forward(&network_inputs(qd))[0];
             let wanted = 0.02 * crate::math::tanh(qd * 5.0);
@@ -516,10 +514,8 @@ mod tests {
         for k in 0..500 {
             trainer.train(&config, 0, &row(k, 0.02), &mut active);
         }
-        assert_ne!(
-            trainer.candidate[0].hidden_weights,
-            silent()[0].hidden_weights
-        );
+        let [before] = silent();
+        assert_ne!(trainer.candidate[0].hidden_weights, before.hidden_weights);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Bounds of the torque for any motion, any model and any change of model, and the flags that report them.
 
 use super::*;
+use crate::Dice;
 
 #[test]
 fn torque_rises_from_zero_at_the_slew_limit() {
@@ -61,22 +62,15 @@ fn what_was_learnt_is_bounded_around_the_committed_set() {
     tick.state.set_active(&learnt, &LearntShare::FULL);
     tick.state.range.set(&WIDE);
     let torque = settled(&mut tick, &motion);
-    assert!(
-        torque
-            .flags
-            .contains(Flags::LEARNED_CLIPPED | Flags::NETWORK_CLIPPED)
-    );
+    let clipped = Flags::LEARNED_CLIPPED | Flags::NETWORK_CLIPPED;
+    assert!(torque.flags.contains(clipped));
     for j in 0..N {
         let bound = LEARNED_BOUND * Ur5::LIMITS[j].torque;
-        assert!(
-            (torque.total[j] - committed[j]).abs() <= bound * 1.001,
-            "joint {j}"
-        );
+        let change = (torque.total[j] - committed[j]).abs();
+        assert!(change <= bound * 1.001, "joint {j}");
     }
-    assert_eq!(
-        torque.shares.network[0],
-        NETWORK_BOUND * Ur5::LIMITS[0].torque
-    );
+    let bound = NETWORK_BOUND * Ur5::LIMITS[0].torque;
+    assert_eq!(torque.shares.network[0], bound);
 }
 
 #[test]
@@ -114,14 +108,8 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
         for friction in &mut start.friction {
             friction.0.iter_mut().for_each(|v| wild(v, &mut bits));
         }
-        for net in &mut start.network {
-            net.hidden_weights
-                .iter_mut()
-                .for_each(|v| wild(v, &mut bits));
-            net.output_weights
-                .iter_mut()
-                .for_each(|v| wild(v, &mut bits));
-            net.output_bias.iter_mut().for_each(|v| wild(v, &mut bits));
+        for layer in start.network.iter_mut().flat_map(|net| net.layers_mut()) {
+            layer.iter_mut().for_each(|v| wild(v, &mut bits));
         }
         let mut tick = tick(set());
         match round % 4 {
@@ -138,26 +126,17 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
         }
         for step in 0..4 {
             let mut desired = motion(round as f32);
-            for value in desired
-                .q
-                .iter_mut()
-                .chain(desired.qd.iter_mut())
-                .chain(desired.qdd.iter_mut())
-            {
-                if step % 2 == 1 {
-                    wild(value, &mut bits);
+            if step % 2 == 1 {
+                for part in [&mut desired.q, &mut desired.qd, &mut desired.qdd] {
+                    part.iter_mut().for_each(|v| wild(v, &mut bits));
                 }
             }
             let torque = tick.step(&sample(desired));
             finite_motion += usize::from(!torque.flags.contains(Flags::STALE_SAMPLE));
             for j in 0..N {
-                assert!(
-                    torque.total[j].abs() <= Ur5::LIMITS[j].torque,
-                    "round {round}: {torque:?}"
-                );
-                let shares =
-                    torque.shares.rigid[j] + torque.shares.friction[j] + torque.shares.network[j];
-                assert!(shares.is_finite(), "round {round}: {torque:?}");
+                let bounded = torque.total[j].abs() <= Ur5::LIMITS[j].torque;
+                let shares = torque.shares.total()[j];
+                assert!(bounded && shares.is_finite(), "round {round}: {torque:?}");
             }
         }
     }
@@ -170,11 +149,8 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
 #[test]
 fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_the_limit() {
     for seed in 1..=40u32 {
-        let mut word = seed;
-        let mut dice = move || {
-            word = word.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (word >> 8) as f32 / 8_388_608.0 - 1.0
-        };
+        let mut dice = Dice(u64::from(seed));
+        let mut dice = || dice.roll() as f32;
         let path: [[f32; 3]; N] =
             core::array::from_fn(|_| [dice() * 3.0, 1.0 + dice(), 0.4 + 0.4 * dice()]);
         let at = |tick: u32| {
@@ -222,11 +198,12 @@ fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_th
             // Measured from the committed set, whose own torque follows the motion.
             let reference = evaluate::<Ur5, N, P>(&tick.state().committed, &desired).total;
             if let Some((total, learned)) = before {
-                let change = if recommitted {
-                    torque.total - total
+                let before = if recommitted {
+                    total
                 } else {
-                    torque.total - reference - learned
+                    reference + learned
                 };
+                let change = torque.total - before;
                 for j in 0..N {
                     let part = change[j].abs() / Ur5::LIMITS[j].torque;
                     largest = largest.max(part);

@@ -82,14 +82,9 @@ fn a_configuration_that_cannot_work_is_refused() {
     range.limits[0].position = (1.0, -1.0);
     assert!(good.validate().is_ok());
     assert!(Tick::new(slew, set()).is_err());
-    assert_eq!(
-        slew.validate(),
-        Err(ConfigError::NotPositive("slew_per_tick"))
-    );
-    assert_eq!(
-        range.validate(),
-        Err(ConfigError::NotPositive("limits.position"))
-    );
+    let refused = |field| Err(ConfigError::NotPositive(field));
+    assert_eq!(slew.validate(), refused("slew_per_tick"));
+    assert_eq!(range.validate(), refused("limits.position"));
 }
 
 #[test]
@@ -183,11 +178,8 @@ fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
         tick.state.set_active(&broken, &LearntShare::FULL);
         let torque = settled(&mut tick, &motion);
         assert_eq!(torque.shares, whole);
-        assert!(
-            torque
-                .flags
-                .contains(Flags::SHARE_FALLBACK | Flags::NOT_FINITE)
-        );
+        let flags = Flags::SHARE_FALLBACK | Flags::NOT_FINITE;
+        assert!(torque.flags.contains(flags));
         assert!(!torque.flags.contains(Flags::WITHDRAWN));
     }
 }

@@ -129,25 +129,20 @@ impl NoiseCorrelation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Dice;
 
     #[test]
     fn the_factor_is_that_of_the_noise() {
         // Variance of a mean of an autoregressive noise: (1 + a) / (1 − a).
         for (a, from, to) in [(0.0f32, 1.0, 1.7), (0.6, 2.5, 6.0), (0.9, 11.0, 28.0)] {
-            let (mut found, mut random, mut z) = (NoiseCorrelation::new(), 3u64, 0.0);
+            let (mut found, mut dice, mut z) = (NoiseCorrelation::new(), Dice(3), 0.0);
             assert_eq!(found.factor(), FIRST.0);
             for _ in 0..83 * 400 {
-                random = random
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1);
-                z = a * z + (random >> 40) as f32 / (1 << 23) as f32 - 1.0;
+                z = a * z + dice.roll() as f32;
                 found.add(z, 1.0, 83.0);
             }
-            assert!(
-                (from..to).contains(&found.factor()),
-                "{a}: {}",
-                found.factor()
-            );
+            let factor = found.factor();
+            assert!((from..to).contains(&factor), "{a}: {factor}");
         }
     }
 }

@@ -222,10 +222,8 @@ fn a_wrong_torque_sensor_leaves_parameters_within_bounds() {
         for bound in &DISSIPATION_BOUNDS {
             let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
             let value = dot(bound, &friction.0);
-            assert!(
-                value >= -0.02 * dot(bound, &deviation),
-                "joint {joint}: {friction:?}"
-            );
+            let least = -0.02 * dot(bound, &deviation);
+            assert!(value >= least, "joint {joint}: {friction:?}");
         }
         moved |= estimate.parameters().friction[joint] != prior.friction[joint].0;
     }
@@ -237,10 +235,8 @@ fn sets_are_published_only_when_a_round_closes() {
     let mut learner = learner();
     for tick in 0..60 {
         let mut exchange = Exchange::new();
-        learner.learn(
-            &sample_of(tick, Some(measured(tick, 2.0, 20.0)), true),
-            &mut exchange,
-        );
+        let sample = sample_of(tick, Some(measured(tick, 2.0, 20.0)), true);
+        learner.learn(&sample, &mut exchange);
         let published = exchange.published.map(|set| set.closed);
         assert_eq!(published, (tick % 6 == 5).then_some(tick));
     }
@@ -278,9 +274,10 @@ fn a_well_known_parameter_moves_less_than_an_unknown_one() {
         let of = |of: &LinearParameters<N, P>| (of.friction[3][1], of.friction[0][1]);
         let (own, other) = (of(estimate), of(&sigma));
         let before = of(&prior);
+        let moved = |a: f32, b: f32, sigma: f32| (a - b).abs() / sigma;
         (
-            (own.0 - before.0).abs() / other.0,
-            (own.1 - before.1).abs() / other.1,
+            moved(own.0, before.0, other.0),
+            moved(own.1, before.1, other.1),
         )
     };
     let (known, unknown) = (moved(13), moved(255));
@@ -296,19 +293,12 @@ fn an_invalid_configuration_is_refused() {
     let mut rate = good;
     rate.network.hidden_rate = f32::NAN;
     assert_eq!(good.validate(), Ok(()));
-    assert_eq!(
-        sigma.validate(),
-        Err(ConfigError::NotPositive("sigma.rigid"))
-    );
-    assert_eq!(
-        rate.validate(),
-        Err(ConfigError::RateOutOfRange("network.hidden_rate"))
-    );
-    assert!(
-        LearnerConfig::<N, P>::for_arm::<Ur5>(0.0)
-            .validate()
-            .is_err()
-    );
+    let not_positive = Err(ConfigError::NotPositive("sigma.rigid"));
+    assert_eq!(sigma.validate(), not_positive);
+    let out_of_range = Err(ConfigError::RateOutOfRange("network.hidden_rate"));
+    assert_eq!(rate.validate(), out_of_range);
+    let no_period = LearnerConfig::<N, P>::for_arm::<Ur5>(0.0);
+    assert!(no_period.validate().is_err());
 }
 
 #[test]

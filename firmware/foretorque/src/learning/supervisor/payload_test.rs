@@ -334,6 +334,10 @@ mod tests {
         LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
     }
 
+    fn is_refused_for_residual(decision: PayloadDecision) -> bool {
+        matches!(decision, PayloadDecision::Refuse(Reason::Residual, _))
+    }
+
     fn of_mass(mass: f32) -> Payload {
         [mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     }
@@ -423,18 +427,13 @@ mod tests {
         assert_eq!(over, PayloadDecision::Transient);
         // A disturbance that a payload explains in part.
         let (block, decision) = decided(&NO_PAYLOAD, &two, 3.0);
-        assert!(
-            matches!(decision, PayloadDecision::Refuse(Reason::Residual, _)),
-            "{decision:?}"
-        );
+        assert!(is_refused_for_residual(decision), "{decision:?}");
         assert_eq!(block, late);
         // Evidence comes before a mass that is certain enough.
         let (block, decision, sigma) = decided_at::<2>(&NO_PAYLOAD, &two, (0.03, 20.0));
         assert_eq!(decision, PayloadDecision::Promote);
-        assert!(
-            block > 60 && sigma < config.max_mass_sigma,
-            "{block}: {sigma} kg"
-        );
+        let certain = sigma < config.max_mass_sigma;
+        assert!(block > 60 && certain, "{block}: {sigma} kg");
     }
 
     #[test]
@@ -443,10 +442,7 @@ mod tests {
         let (_, of_two, _) = decided_at::<2>(&NO_PAYLOAD, &body, (0.03, 0.1));
         assert_eq!(of_two, PayloadDecision::Promote);
         let (_, of_one, _) = decided_at::<1>(&NO_PAYLOAD, &body, (0.03, 0.1));
-        assert!(
-            matches!(of_one, PayloadDecision::Refuse(Reason::Residual, _)),
-            "{of_one:?}"
-        );
+        assert!(is_refused_for_residual(of_one), "{of_one:?}");
     }
 
     /// Background test with the payload `felt` by block where `carried` is in the torque: decisions with their blocks until the
@@ -488,9 +484,8 @@ mod tests {
     /// The change of the payload in such a test.
     fn found(carried: &Payload, felt: &Payload, how: (f32, u32)) -> Option<(u32, PayloadDecision)> {
         let (decisions, _) = background(carried, |_| *felt, how);
-        decisions
-            .into_iter()
-            .find(|(_, decision)| decision.is_change())
+        let is_change = |(_, decision): &(u32, PayloadDecision)| decision.is_change();
+        decisions.into_iter().find(is_change)
     }
 
     #[test]
@@ -536,9 +531,8 @@ mod tests {
         let light = of_mass(0.3);
         for (felt, transient) in [(NO_PAYLOAD, true), (light, false)] {
             let (decisions, _) = background(&NO_PAYLOAD, |_| felt, (1.0, 150));
-            let over = decisions
-                .iter()
-                .find(|(_, decision)| *decision == PayloadDecision::Transient);
+            let is_over = |(_, decision): &&_| *decision == PayloadDecision::Transient;
+            let over = decisions.iter().find(is_over);
             assert_eq!(over.is_some(), transient, "{decisions:?}");
             assert!(over.is_none_or(|(block, _)| *block < 10), "{decisions:?}");
         }

@@ -317,11 +317,8 @@ mod tests {
             (PayloadTest, round(1.0, false, false)),
             (Healthy, Evidence::Off),
         ] {
-            assert_eq!(
-                after(phase, evidence),
-                (phase, Action::None, None),
-                "{phase:?} {evidence:?}"
-            );
+            let nothing = (phase, Action::None, None);
+            assert_eq!(after(phase, evidence), nothing, "{evidence:?}");
         }
     }
 
@@ -345,10 +342,8 @@ mod tests {
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
         }
-        assert_eq!(
-            reasons,
-            [Reason::Followed, Reason::RolledBack, Reason::Reversed]
-        );
+        let wanted = [Reason::Followed, Reason::RolledBack, Reason::Reversed];
+        assert_eq!(reasons, wanted);
     }
 
     #[test]
@@ -361,10 +356,8 @@ mod tests {
         while state.phase == Phase::Relearning {
             let next = step(&config(), &state, round(0.5, false, false));
             let over = next.state.phase == Phase::Healthy;
-            assert_eq!(
-                next.action,
-                if over { Action::Resume } else { Action::None }
-            );
+            let action = if over { Action::Resume } else { Action::None };
+            assert_eq!(next.action, action);
             state = next.state;
             rounds += 1;
         }
