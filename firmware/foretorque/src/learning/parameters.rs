@@ -40,11 +40,8 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
     /// with output layers of zeros.
     pub fn nominal<A: Arm<N, P>>(seed: u32) -> Self {
         let mut network = [JointNetwork::zeros(); N];
-        for (seed, network) in (0..)
-            .map(|joint| seed.wrapping_add(joint))
-            .zip(&mut network)
-        {
-            *network = JointNetwork::silent(seed);
+        for (joint, network) in (0..).zip(&mut network) {
+            *network = JointNetwork::silent(seed.wrapping_add(joint));
         }
         Self {
             rigid: *A::nominal(),
@@ -55,12 +52,9 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
 
     /// True if every parameter is finite.
     pub fn is_finite(&self) -> bool {
-        let rigid = self.rigid.as_slice().iter().all(|p| p.is_finite());
-        let friction = self
-            .friction
-            .iter()
-            .all(|f| f.0.iter().all(|p| p.is_finite()));
-        rigid && friction && self.network.iter().all(JointNetwork::is_finite)
+        let friction = self.friction.iter().flat_map(|joint| &joint.0);
+        let mut linear = self.rigid.as_slice().iter().chain(friction);
+        linear.all(|p| p.is_finite()) && self.network.iter().all(JointNetwork::is_finite)
     }
 }
 

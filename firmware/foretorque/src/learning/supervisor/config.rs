@@ -63,11 +63,7 @@ impl SupervisorConfig {
         let shortest = N as u32 + 1;
         let rated = rated_payload::<A, N, P>();
         Self {
-            block_ticks: if block_ticks > shortest {
-                block_ticks
-            } else {
-                shortest
-            },
+            block_ticks: block_ticks.max(shortest),
             detector: DetectorConfig {
                 clip: 9.5,
                 drift: 3.2,

@@ -51,13 +51,17 @@ pub(crate) enum Evidence {
         snapshot: bool,
     },
     /// Close of a round in which every joint was learnt or stood still.
-    Round {
-        ticks: u32,
-        /// Common share by the evidence.
-        share: f32,
-        reversed: bool,
-        carries_payload: bool,
-    },
+    Round(Round),
+}
+
+/// Closed round of so many ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Round {
+    pub(crate) ticks: u32,
+    /// Common share by the evidence.
+    pub(crate) share: f32,
+    pub(crate) reversed: bool,
+    pub(crate) carries_payload: bool,
 }
 
 /// Consequence of a decision, for the learner to carry out.
@@ -152,24 +156,16 @@ pub(crate) fn step(
             }
             Request::Stop => to(Phase::Stopped, Action::Restore, Reason::FrozenStopped, 0.0),
         },
-        (Phase::Relearning, Evidence::Round { ticks, share, .. }) => {
-            state.relearning_ticks = state.relearning_ticks.saturating_sub(ticks);
+        (Phase::Relearning, Evidence::Round(round)) => {
+            state.relearning_ticks = state.relearning_ticks.saturating_sub(round.ticks);
             if state.relearning_ticks == 0 {
                 state.phase = Phase::Healthy;
-                (Action::Resume, Some((Reason::RelearningEnded, share)))
+                (Action::Resume, Some((Reason::RelearningEnded, round.share)))
             } else {
                 (Action::None, None)
             }
         }
-        (
-            Phase::Healthy,
-            Evidence::Round {
-                ticks,
-                share,
-                reversed,
-                carries_payload,
-            },
-        ) => follow(config, &mut state, ticks, share, reversed, carries_payload),
+        (Phase::Healthy, Evidence::Round(round)) => follow(config, &mut state, &round),
         _ => (Action::None, None),
     };
     Transition {
@@ -183,21 +179,18 @@ pub(crate) fn step(
 fn follow(
     config: &SupervisorConfig,
     state: &mut SupervisorState,
-    ticks: u32,
-    share: f32,
-    reversed: bool,
-    carries_payload: bool,
+    round: &Round,
 ) -> (Action, Option<(Reason, f32)>) {
-    let before = *state;
-    state.reversed = reversed;
+    let (before, share) = (*state, round.share);
+    state.reversed = round.reversed;
     let (begin, end) = config.following_share;
     state.following = share > if before.following { end } else { begin };
     if !state.following {
         // The first commit comes early: the bound on learnt change is centred at the loaded set.
         state.commit_in = config.commit_ticks / 4;
     }
-    state.commit_in = state.commit_in.saturating_sub(ticks);
-    let commit = state.following && state.commit_in == 0 && !carries_payload;
+    state.commit_in = state.commit_in.saturating_sub(round.ticks);
+    let commit = state.following && state.commit_in == 0 && !round.carries_payload;
     if commit {
         state.commit_in = config.commit_ticks;
     }
@@ -246,12 +239,12 @@ mod tests {
     }
 
     fn round(share: f32, reversed: bool, carries_payload: bool) -> Evidence {
-        Evidence::Round {
+        Evidence::Round(Round {
             ticks: 6,
             share,
             reversed,
             carries_payload,
-        }
+        })
     }
 
     #[test]
