@@ -141,15 +141,15 @@ impl<R: Registers> Bxcan<R> {
         let empty = (0..3).find(|mailbox| status & TME0 << mailbox != 0);
         let base = offset::TI0R + 16 * empty.ok_or(CanError::Full)?;
         let mut data = [0; 8];
-        data.iter_mut()
-            .zip(bytes)
-            .for_each(|(to, from)| *to = *from);
+        for (to, from) in data.iter_mut().zip(bytes) {
+            *to = *from;
+        }
         let [d0, d1, d2, d3, d4, d5, d6, d7] = data;
         let low = u32::from_le_bytes([d0, d1, d2, d3]);
+        let high = u32::from_le_bytes([d4, d5, d6, d7]);
         self.registers.write(base + 4, bytes.len() as u32);
         self.registers.write(base + 8, low);
-        self.registers
-            .write(base + 12, u32::from_le_bytes([d4, d5, d6, d7]));
+        self.registers.write(base + 12, high);
         let id = if frame.extended {
             frame.id << 3 | IDE
         } else {
@@ -338,11 +338,8 @@ mod tests {
 
         /// Takes a frame from the bus, through the filters of `can1`.
         fn hear(&mut self, [id, length, low, high]: [u32; 4], can1: &Self) {
-            let bank = if self.second {
-                can1.filter(offset::FMR) >> 8 & 0x3f
-            } else {
-                0
-            };
+            let second_bank = can1.filter(offset::FMR) >> 8 & 0x3f;
+            let bank = if self.second { second_bank } else { 0 };
             let open = can1.filter(offset::FMR) & FINIT == 0
                 && can1.filter(offset::FA1R) >> bank & 1 == 1
                 && can1.filter(offset::FS1R) >> bank & 1 == 1
@@ -375,10 +372,8 @@ mod tests {
             second: true,
             ..Model::default()
         };
-        (
-            Bxcan::start(first, timing, POLLS).unwrap(),
-            Bxcan::start(second, timing, POLLS).unwrap(),
-        )
+        let start = |model| Bxcan::start(model, timing, POLLS).unwrap();
+        (start(first), start(second))
     }
 
     #[test]

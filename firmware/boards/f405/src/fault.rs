@@ -125,12 +125,9 @@ pub fn leave<B: Board>(reason: Reason, place: u32) -> ! {
     let kept = &raw mut KEPT;
     // SAFETY: interrupts are off and this does not return: nothing reads the words before the reset.
     unsafe {
-        kept.cast::<[u32; 4]>().write_volatile([
-            MARK,
-            reason as u32,
-            place,
-            MARK ^ reason as u32 ^ place,
-        ])
+        let check = MARK ^ reason as u32 ^ place;
+        kept.cast::<[u32; 4]>()
+            .write_volatile([MARK, reason as u32, place, check])
     };
     compiler_fence(Ordering::SeqCst);
     SCB::sys_reset()

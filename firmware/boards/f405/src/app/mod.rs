@@ -85,20 +85,14 @@ impl<B: Board> Tick<B> {
         mailboxes.lock(|mailboxes| self.run_locked(mailboxes));
         // Without a learning sample too: the learner checks in.
         rtic::pend(LEARN);
-        let Self {
-            session,
-            timer,
-            losses,
-            latency,
-            ..
-        } = self;
-        timer.configure(session.configuration());
-        session.note_line(link::receive_cost(), latency.cost());
+        let session = &mut *self.session;
+        self.timer.configure(session.configuration());
+        session.note_line(link::receive_cost(), self.latency.cost());
         session.note_feeds(watchdog::feeds());
         // Losses below the frames since the last tick. Counters wrap; only their difference counts.
         let now = link::losses().wrapping_add(tick_timer::missed());
-        while *losses != now {
-            *losses = losses.wrapping_add(1);
+        while self.losses != now {
+            self.losses = self.losses.wrapping_add(1);
             session.note_overrun();
         }
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
@@ -137,41 +131,32 @@ impl<B: Board> Tick<B> {
     /// Drives the outputs by the result, then sends the replies.
     #[inline(never)]
     fn put_out(&mut self, mailboxes: &BoardMailboxes, answers: bool) {
-        let Self {
-            session,
-            waiting,
-            out,
-            drive,
-            brake_open,
-            kept,
-            latency,
-            ..
-        } = self;
+        let session = &mut *self.session;
         // The outputs follow before the host reads of them.
-        drive.follow(session);
+        self.drive.follow(session);
         let open = session.brake_released();
-        if *brake_open != open {
-            *brake_open = open;
+        if self.brake_open != open {
+            self.brake_open = open;
             fault::release_brake::<B>(open);
         }
         let latched = session.latched_fault();
-        if *kept != latched {
-            *kept = latched;
+        if self.kept != latched {
+            self.kept = latched;
             fault::keep_latched(latched);
         }
         if session.reboot_wanted() {
             fault::leave::<B>(Reason::Requested, 0);
         }
         // A reply that waits for the learner is sent when that has woken this task again.
-        if out.is_empty() || mailboxes.learner.holds_reply() {
+        if self.out.is_empty() || mailboxes.learner.holds_reply() {
             return;
         }
-        if !link::send(waiting, out.as_bytes()) {
+        if !link::send(&mut self.waiting, self.out.as_bytes()) {
             session.note_reply_lost();
         } else if answers {
-            latency.note(link::since_frame());
+            self.latency.note(link::since_frame());
         }
-        out.clear();
+        self.out.clear();
     }
 }
 
@@ -263,7 +248,7 @@ macro_rules! image {
 
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
-            use $crate::app::{Idle, Started, Statics, Tick, byte, learn, start, timer};
+            use $crate::app::{Idle, Statics, Tick, byte, learn, start, timer};
             use $crate::arm::{BoardMailboxes, Learner};
             use $crate::link::Wire;
 
@@ -282,19 +267,14 @@ macro_rules! image {
 
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
-                let Started {
-                    mailboxes,
-                    wire,
-                    tick,
-                    learner,
-                    idle,
-                } = start::<$board>(cx.device, cx.core, cx.local.statics);
+                let started = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
-                    wire,
-                    tick,
-                    learner,
-                    idle,
+                    wire: started.wire,
+                    tick: started.tick,
+                    learner: started.learner,
+                    idle: started.idle,
                 };
+                let mailboxes = started.mailboxes;
                 (Shared { mailboxes }, local)
             }
 

@@ -137,10 +137,8 @@ impl Drive for BusDrive {
         let role = wiring.as_ref().map_or(Role::InLine, |wiring| wiring.role);
         let ports = ports::start(clocks, wiring.as_ref());
         let mut profiles = [None; MOST];
-        for (slot, joint) in profiles
-            .iter_mut()
-            .zip(wiring.iter().flat_map(|w| &w.joints))
-        {
+        let joints = wiring.iter().flat_map(|wiring| &wiring.joints);
+        for (slot, joint) in profiles.iter_mut().zip(joints) {
             *slot = joint.map(|joint| joint.drive);
         }
         let expiry = match clocks.source {
@@ -211,9 +209,9 @@ impl Drive for BusDrive {
         let torques = drives.follow(session, off, |bus, frame| give(Order::Send(bus, *frame)));
         let torques = torques.map(|torques| {
             let mut all = [0.0; MOST];
-            all.iter_mut()
-                .zip(&torques)
-                .for_each(|(to, from)| *to = *from);
+            for (to, from) in all.iter_mut().zip(&torques) {
+                *to = *from;
+            }
             all
         });
         give(Order::Add(torques));
