@@ -9,8 +9,8 @@
 mod safety;
 mod types;
 
-use safety::act;
 pub use safety::*;
+use safety::{act, answer};
 pub use types::*;
 
 use core::mem::{MaybeUninit, align_of, size_of};
@@ -123,17 +123,6 @@ impl Foretorque {
             network_nm: array(torque.shares.network),
             flags: u32::from(torque.flags.0),
             tick: torque.tick,
-        }
-    }
-
-    fn safety(&self) -> ForetorqueSafety {
-        let status = self.safety.status();
-        ForetorqueSafety {
-            state: status.state as u8,
-            reason: status.reason.code(),
-            latched: self.safety.latched().code(),
-            enabled: self.safety.enabled().into(),
-            brake_released: self.safety.brake_released().into(),
         }
     }
 }
@@ -308,17 +297,13 @@ unsafe fn step(
     out: *mut ForetorqueTorque,
     guarded: bool,
 ) -> ForetorqueStatus {
-    // SAFETY: null or what the caller guarantees, and not shared meanwhile.
-    let it = unsafe { it.as_mut() };
-    let (Some(it), false) = (it, out.is_null()) else {
-        return ForetorqueStatus::Null;
+    let step = |it: &mut Foretorque| {
+        // SAFETY: null, or may be read as far as it has to be.
+        let sample = (!sample.is_null()).then(|| unsafe { ForetorqueSample::read(sample) });
+        it.step(sample, guarded)
     };
-    // SAFETY: not null, and may be read as far as it is; `out` may be written and is never read.
-    unsafe {
-        let sample = (!sample.is_null()).then(|| ForetorqueSample::read(sample));
-        out.write(it.step(sample, guarded));
-    }
-    ForetorqueStatus::Ok
+    // SAFETY: as the caller promises.
+    unsafe { answer(it, out, step) }
 }
 
 /// Learns from the tick that has just run, in the time that is left of it. Without this call nothing is learnt.

@@ -36,18 +36,14 @@ unsafe fn command(
     reason: *mut u8,
     request: fn(&mut Safety<JOINTS>) -> Result<(), SafetyReason>,
 ) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    let it = unsafe { it.as_mut() };
-    let (Some(it), false) = (it, reason.is_null()) else {
-        return ForetorqueStatus::Null;
+    let mut refused = None;
+    let command = |it: &mut Foretorque| {
+        refused = request(&mut it.safety).err();
+        refused.unwrap_or_default().code()
     };
-    let refused = request(&mut it.safety).err();
-    // SAFETY: not null, and may be written.
-    unsafe { reason.write(refused.unwrap_or_default().code()) };
-    match refused {
-        None => ForetorqueStatus::Ok,
-        Some(_) => ForetorqueStatus::Refused,
-    }
+    // SAFETY: as the caller promises.
+    let status = unsafe { answer(it, reason, command) };
+    refused.map_or(status, |_| ForetorqueStatus::Refused)
 }
 
 /// Ramps the torque to zero over the ticks to come, then disarms.
@@ -129,11 +125,18 @@ pub unsafe extern "C" fn foretorque_safety(
     it: *mut Foretorque,
     out: *mut ForetorqueSafety,
 ) -> ForetorqueStatus {
-    if out.is_null() {
-        return ForetorqueStatus::Null;
-    }
-    // SAFETY: as the caller promises; `out` may be written.
-    unsafe { act(it, |it| out.write(it.safety())) }
+    let state = |it: &mut Foretorque| {
+        let status = it.safety.status();
+        ForetorqueSafety {
+            state: status.state as u8,
+            reason: status.reason.code(),
+            latched: it.safety.latched().code(),
+            enabled: it.safety.enabled().into(),
+            brake_released: it.safety.brake_released().into(),
+        }
+    };
+    // SAFETY: as the caller promises.
+    unsafe { answer(it, out, state) }
 }
 
 /// Writes the hard limits.
@@ -145,22 +148,33 @@ pub unsafe extern "C" fn foretorque_limits(
     it: *mut Foretorque,
     out: *mut ForetorqueLimits,
 ) -> ForetorqueStatus {
-    if out.is_null() {
-        return ForetorqueStatus::Null;
-    }
-    let write = |it: &mut Foretorque| {
+    let limits = |it: &mut Foretorque| {
         let limits = it.safety.limits();
-        let limits = ForetorqueLimits {
+        ForetorqueLimits {
             torque_nm: limits.torque.into(),
             slew_nm: limits.slew_per_tick.into(),
             timeout_ticks: limits.timeout_ticks,
             measurement_ticks: limits.measurement_ticks,
-        };
-        // SAFETY: not null, and may be written.
-        unsafe { out.write(limits) }
+        }
     };
     // SAFETY: as the caller promises.
-    unsafe { act(it, write) }
+    unsafe { answer(it, out, limits) }
+}
+
+/// Writes the result of `action` into `out`.
+///
+/// # Safety
+/// As those of `foretorque_safety`.
+pub(crate) unsafe fn answer<T>(
+    it: *mut Foretorque,
+    out: *mut T,
+    action: impl FnOnce(&mut Foretorque) -> T,
+) -> ForetorqueStatus {
+    if out.is_null() {
+        return ForetorqueStatus::Null;
+    }
+    // SAFETY: as the caller promises; `out` is not null, and may be written.
+    unsafe { act(it, |it| out.write(action(it))) }
 }
 
 /// # Safety

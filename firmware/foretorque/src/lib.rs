@@ -92,3 +92,23 @@ pub mod network;
 #[cfg(doctest)]
 #[doc = include_str!("../../../README.md")]
 struct Readme;
+
+/// Seeded numbers of tests, uniform in ±1.
+#[cfg(test)]
+pub(crate) struct Dice(pub(crate) u64);
+
+#[cfg(test)]
+impl Dice {
+    pub(crate) fn roll(&mut self) -> f64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    /// Sum of twelve: variance 1 is four times a third.
+    pub(crate) fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.roll()).sum::<f64>() * 0.5
+    }
+}

@@ -137,11 +137,8 @@ mod tests {
             (0.0, 12.0, 7.0, Flags::SLEWED),
         ];
         for (target, previous, torque, flags) in cases {
-            assert_eq!(
-                limit(target, previous, 150.0, 5.0),
-                (torque, flags),
-                "{target} after {previous}"
-            );
+            let limited = limit(target, previous, 150.0, 5.0);
+            assert_eq!(limited, (torque, flags), "{target} after {previous}");
         }
     }
 

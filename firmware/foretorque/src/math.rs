@@ -227,13 +227,20 @@ pub fn sqrt(x: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// Largest absolute error of a pair over every `stride`-th bit pattern from 0 to `limit`, both signs.
-    fn worst_sin_cos(limit: f32, stride: usize) -> f64 {
+    /// Largest absolute error of `pair` over every `stride`-th bit pattern from 0 to `limit`, both signs.
+    ///
+    /// * `angle` rad, of its argument
+    fn worst_pair(
+        pair: fn(f32) -> SinCos,
+        angle: fn(f32) -> f64,
+        limit: f32,
+        stride: usize,
+    ) -> f64 {
         let mut worst = 0.0_f64;
         for bits in (0..=limit.to_bits()).step_by(stride) {
             for x in [f32::from_bits(bits), -f32::from_bits(bits)] {
-                let pair = sin_cos(x);
-                let (sin, cos) = f64::from(x).sin_cos();
+                let pair = pair(x);
+                let (sin, cos) = angle(x).sin_cos();
                 worst = worst
                     .max((f64::from(pair.sin) - sin).abs())
                     .max((f64::from(pair.cos) - cos).abs());
@@ -243,33 +250,19 @@ mod tests {
     }
 
     #[test]
-    fn sin_cos_keeps_its_bound_within_one_turn() {
+    fn sin_cos_keeps_its_bound_within_one_turn_and_up_to_a_thousand() {
         // Every float in the range: `cargo run --release -p host-sim --example sweep_math`.
-        let worst = worst_sin_cos(core::f32::consts::TAU, 331);
-
-        assert!(worst <= 1.2e-7, "{worst:e}");
-    }
-
-    #[test]
-    fn sin_cos_keeps_its_bound_up_to_a_thousand() {
-        let worst = worst_sin_cos(1000.0, 337);
-
-        assert!(worst <= 5e-7, "{worst:e}");
+        for (limit, stride, bound) in [(core::f32::consts::TAU, 331, 1.2e-7), (1000.0, 337, 5e-7)] {
+            let worst = worst_pair(sin_cos, f64::from, limit, stride);
+            assert!(worst <= bound, "{worst:e} up to {limit}");
+        }
     }
 
     #[test]
     fn quarters_keep_their_bound_over_many_turns() {
-        let mut worst = 0.0_f64;
-        for bits in (0..=262_144.0_f32.to_bits()).step_by(331) {
-            for x in [f32::from_bits(bits), -f32::from_bits(bits)] {
-                let pair = sin_cos_quarters(x);
-                // Whole turns are taken away exactly; the rest is small enough for π to be exact enough.
-                let (sin, cos) = (f64::from(x % 4.0) * core::f64::consts::FRAC_PI_2).sin_cos();
-                worst = worst
-                    .max((f64::from(pair.sin) - sin).abs())
-                    .max((f64::from(pair.cos) - cos).abs());
-            }
-        }
+        // Whole turns are taken away exactly; the rest is small enough for π to be exact enough.
+        let angle = |x| f64::from(x % 4.0) * core::f64::consts::FRAC_PI_2;
+        let worst = worst_pair(sin_cos_quarters, angle, 262_144.0, 331);
         assert!(worst <= 1.2e-7, "{worst:e}");
         for x in [262_144.5, -1e9, f32::INFINITY, f32::NAN] {
             let pair = sin_cos_quarters(x);

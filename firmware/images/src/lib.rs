@@ -34,11 +34,7 @@ impl Streams {
         // SAFETY: the block names a handle, a buffer and its length; the host writes inside the buffer only.
         let missing = unsafe { syscall1(nr::READ, block.as_ptr() as usize) };
         let count = buffer.len().checked_sub(missing)?;
-        if count == 0 {
-            None
-        } else {
-            buffer.get(..count)
-        }
+        buffer.get(..count).filter(|read| !read.is_empty())
     }
 
     /// Sends all bytes. False when the host has closed its end.
@@ -73,11 +69,12 @@ fn open(name: &[u8], mode: usize) -> Option<usize> {
 
 /// Ends the emulator.
 pub fn exit(well: bool) -> ! {
-    debug::exit(if well {
+    let status = if well {
         debug::EXIT_SUCCESS
     } else {
         debug::EXIT_FAILURE
-    });
+    };
+    debug::exit(status);
     loop {
         cortex_m::asm::wfi();
     }

@@ -6,7 +6,7 @@
 use core::mem::MaybeUninit;
 
 use crate::counter::Counter;
-use crate::store_flash::StoreFlash;
+use crate::flash_driver::StoreFlash;
 use foretorque::learning::{LearnerConfig, ParameterSet};
 use foretorque_link::session::{Housekeeping, Mailboxes, Session};
 

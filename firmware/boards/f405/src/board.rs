@@ -1,6 +1,11 @@
-//! Properties of a board with this chip, and its pins by number.
+//! Properties of a board with this chip, its pins by number, and the drive of a board that drives nothing itself but the
+//! enable. A board with a motor stage and an encoder has one of its own, as [`crate::pyboard_drive`] has.
 
-use foretorque_link::session::LocalSensor;
+use core::marker::PhantomData;
+
+use embedded_hal::digital::{ErrorType, OutputPin};
+use foretorque_link::hal::TorqueEnable;
+use foretorque_link::session::{LocalSensor, NoLocalSensor};
 use stm32f4xx_hal::gpio::{PA2, PA3};
 use stm32f4xx_hal::pac::{GPIOA, GPIOB, GPIOC};
 use stm32f4xx_hal::rcc::Rcc;
@@ -103,4 +108,74 @@ impl Pin {
         };
         levels & 1 << number != 0
     }
+}
+
+/// Torque enable: a pin without state, because a fault handler must be able to make one out of nothing.
+pub struct EnablePin<B>(PhantomData<B>);
+
+impl<B> Default for EnablePin<B> {
+    fn default() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<B> ErrorType for EnablePin<B> {
+    type Error = core::convert::Infallible;
+}
+
+impl<B: Board> OutputPin for EnablePin<B> {
+    fn set_low(&mut self) -> Result<(), Self::Error> {
+        B::ENABLE.write(false);
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Self::Error> {
+        B::ENABLE.write(true);
+        Ok(())
+    }
+}
+
+/// Switches the enable pin where it differs from `on`.
+#[inline(always)]
+pub(crate) fn switch<B: Board>(enable: &mut TorqueEnable<EnablePin<B>>, on: bool) {
+    if enable.is_on() != on {
+        // This pin cannot refuse.
+        let Ok(()) = if on { enable.on() } else { enable.off() };
+    }
+}
+
+/// The enable pin; torque is put out by whoever reads the replies, and measured there.
+pub struct EnableOnly<B: Board> {
+    enable: TorqueEnable<EnablePin<B>>,
+    measures: NoLocalSensor,
+}
+
+impl<B: Board> Drive for EnableOnly<B> {
+    type Own = NoLocalSensor;
+
+    #[inline(always)]
+    fn start(_: &Clocks) -> Option<Self> {
+        // Switched off by its constructor; only a session that a host has armed switches it on.
+        let Ok(enable) = TorqueEnable::new(EnablePin::default());
+        Some(Self {
+            enable,
+            measures: NoLocalSensor,
+        })
+    }
+
+    #[inline(always)]
+    fn watch(&mut self, _: &mut BoardSession) {}
+
+    #[inline(always)]
+    fn own(&mut self) -> &mut NoLocalSensor {
+        &mut self.measures
+    }
+
+    #[inline(always)]
+    fn follow(&mut self, session: &mut BoardSession) {
+        switch(&mut self.enable, session.torque_enabled());
+    }
+
+    #[inline(always)]
+    fn report() {}
 }

@@ -38,11 +38,8 @@ pub fn start(rcc: &RCC, flash: &FLASH, crystal_hz: u32) -> Clocks {
     }
     let input_hz = if crystal { crystal_hz } else { chip::HSI_HZ };
     rcc.pllcfgr().modify(|_, w| {
-        let w = if crystal {
-            w.pllsrc().hse()
-        } else {
-            w.pllsrc().hsi()
-        };
+        let source = w.pllsrc();
+        let w = if crystal { source.hse() } else { source.hsi() };
         // SAFETY: M = 4 or 8, N = 168 and Q = 7 lie in the ranges of RM0090 7.3.2.
         unsafe {
             w.pllm()

@@ -1,17 +1,15 @@
 //! The way out: outputs safe, reason kept over the reset, restart. Nothing here waits.
 
-use core::marker::PhantomData;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{Ordering, compiler_fence};
 
 use cortex_m::peripheral::SCB;
-use embedded_hal::digital::{ErrorType, OutputPin};
 use foretorque_link::hal::TorqueEnable;
 use foretorque_link::safety::SafetyReason;
 use foretorque_link::wire::ResetReason;
 use stm32f4xx_hal::pac::RCC;
 
-use crate::board::Board;
+use crate::board::{Board, EnablePin};
 
 /// Why the board restarted itself. The number is what is kept over the reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
@@ -44,31 +42,6 @@ static mut LATCHED: MaybeUninit<[u32; 3]> = MaybeUninit::uninit();
 
 /// Mark that [`KEPT`] and [`LATCHED`] were written by this firmware: power-on leaves anything there.
 const MARK: u32 = 0x7041_5553;
-
-/// Torque enable: a pin without state, because a fault handler must be able to make one out of nothing.
-pub struct EnablePin<B>(PhantomData<B>);
-
-impl<B> Default for EnablePin<B> {
-    fn default() -> Self {
-        Self(PhantomData)
-    }
-}
-
-impl<B> ErrorType for EnablePin<B> {
-    type Error = core::convert::Infallible;
-}
-
-impl<B: Board> OutputPin for EnablePin<B> {
-    fn set_low(&mut self) -> Result<(), Self::Error> {
-        B::ENABLE.write(false);
-        Ok(())
-    }
-
-    fn set_high(&mut self) -> Result<(), Self::Error> {
-        B::ENABLE.write(true);
-        Ok(())
-    }
-}
 
 /// Opens the brakes of a board that has some, or lets them close.
 #[inline(always)]
@@ -152,12 +125,9 @@ pub fn leave<B: Board>(reason: Reason, place: u32) -> ! {
     let kept = &raw mut KEPT;
     // SAFETY: interrupts are off and this does not return: nothing reads the words before the reset.
     unsafe {
-        kept.cast::<[u32; 4]>().write_volatile([
-            MARK,
-            reason as u32,
-            place,
-            MARK ^ reason as u32 ^ place,
-        ])
+        let check = MARK ^ reason as u32 ^ place;
+        kept.cast::<[u32; 4]>()
+            .write_volatile([MARK, reason as u32, place, check])
     };
     compiler_fence(Ordering::SeqCst);
     SCB::sys_reset()

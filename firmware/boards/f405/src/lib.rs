@@ -4,14 +4,14 @@
 //! | module | contents |
 //! |---|---|
 //! | `app` | the schedule: `image!` makes the firmware of a board |
-//! | `arm`, `board` | the arm, and types that follow from it; properties of a board, its pins |
+//! | `arm`, `board` | the arm, and types that follow from it; properties of a board, its pins and drive |
 //! | `odrive_v3`, `pyboard`, `pyboard_drive`, `can_board` | the boards |
 //! | `chip`, `clock`, `counter` | constants, clocks and cost counter of the chip |
 //! | [`can`] | driver of the two CAN controllers |
 //! | `fault` | fault handlers, and what is kept over a reset |
 //! | [`frame_bound`], `link` | serial link, its bound and the queues of its bytes |
 //! | [`image`] | check of the program in flash |
-//! | `flash_driver`, `key_slot`, `store_flash`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
+//! | [`flash_driver`], `key_slot`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
 //! Another board is a file beside these and a binary that names it.
 #![no_std]
@@ -48,8 +48,6 @@ pub mod clock;
 #[cfg(target_os = "none")]
 pub mod counter;
 #[cfg(target_os = "none")]
-pub mod drive;
-#[cfg(target_os = "none")]
 pub mod fault;
 #[cfg(target_os = "none")]
 mod key_slot;
@@ -63,8 +61,6 @@ pub mod odrive_v3;
 pub mod pyboard;
 #[cfg(target_os = "none")]
 pub mod pyboard_drive;
-#[cfg(target_os = "none")]
-pub mod store_flash;
 #[cfg(target_os = "none")]
 mod tick_timer;
 #[cfg(target_os = "none")]

@@ -96,12 +96,8 @@ impl Wire {
                 add(&RECEIVED.overruns, 1);
             }
             let taken = self.received.put(byte);
-            let counter = if taken {
-                &RECEIVED.bytes
-            } else {
-                &RECEIVED.lost
-            };
-            add(counter, 1);
+            let ReceiveCounters { bytes, lost, .. } = &RECEIVED;
+            add(if taken { bytes } else { lost }, 1);
             delimiter = byte == 0;
             if delimiter {
                 ENDED_AT.store(start, Ordering::Relaxed);

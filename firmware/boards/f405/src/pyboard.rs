@@ -6,8 +6,7 @@ use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::board::{Board, Pin, Ports, start_link};
-use crate::drive::EnableOnly;
+use crate::board::{Board, EnableOnly, Pin, Ports, start_link};
 
 /// The board.
 pub struct Pyboard;

@@ -3,7 +3,6 @@
 //! `tau = rigid(β) + friction(φ) + network(w)` of the *active* set for the *desired* motion, each share checked and
 //! bounded on its own, then limits.
 
-mod config;
 mod model;
 mod shares;
 mod state;
@@ -17,18 +16,83 @@ mod tests;
 pub use crate::learning::{
     JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
 };
-pub use config::FeedForwardConfig;
 pub use shares::{LEARNED_BOUND, Shares, evaluate, gravity};
 pub use state::FeedForwardState;
 pub use step::{FeedForwardScratch, adopt, pause, step, step_stale};
 
-use crate::arm::Arm;
+use crate::arm::{Arm, JointLimits};
 use crate::joint::{JointMeasurement, JointSample, JointVector};
 use crate::learning::{
     ConfigError, Exchange, LearningSample, Request, RequestPending, StartDeviations,
+    check_positive, payload_bound,
 };
 use crate::limits::Flags;
 use core::marker::PhantomData;
+
+/// How the tick behaves; derived from the arm's limits and the period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeedForwardConfig<const N: usize> {
+    /// Limits of the joints; a desired motion outside them is cut to them, a torque too.
+    pub limits: [JointLimits; N],
+    /// Largest plausible desired acceleration, rad/s²; beyond it the motion is cut.
+    pub acceleration_limit: f32,
+    /// Largest change of the torque in one tick, N × N·m.
+    pub slew_per_tick: [f32; N],
+    /// Largest torque of a payload, N × N·m.
+    pub payload_bound: [f32; N],
+    /// Largest change in one tick of all that was learnt since the committed set, the payload included, N × N·m.
+    pub learned_slew_per_tick: [f32; N],
+    /// Ticks for which the torque is held when no usable sample comes; then it goes to zero at the slew limit.
+    pub hold_ticks: u32,
+}
+
+/// Defaults of the tick: from zero to the torque limit in 20 ms, torque held for 10 ms without samples.
+const SLEW_TIME_S: f32 = 0.02;
+const HOLD_TIME_US: u32 = 10_000;
+const ACCELERATION_LIMIT: f32 = 100.0;
+/// Largest step of what was learnt, in units of the torque limit.
+const LEARNED_STEP: f32 = 0.01;
+
+impl<const N: usize> FeedForwardConfig<N> {
+    /// Defaults for an arm: its data-sheet limits, the full torque in 20 ms, 10 ms of holding.
+    ///
+    /// * `period_s` period of the tick, s
+    pub fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
+        let torques = A::limits().map(|limits| limits.torque);
+        Self {
+            limits: *A::limits(),
+            acceleration_limit: ACCELERATION_LIMIT,
+            slew_per_tick: torques.map(|torque| torque * period_s / SLEW_TIME_S),
+            payload_bound: payload_bound::<A, N, P>(),
+            learned_slew_per_tick: torques.map(|torque| LEARNED_STEP * torque),
+            // At least one tick: a single lost sample must not make the torque dip.
+            hold_ticks: HOLD_TIME_US / whole_us(period_s) + 1,
+        }
+    }
+
+    /// Every field is usable.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        check_positive(&[("acceleration_limit", self.acceleration_limit)])?;
+        for joint in 0..N {
+            let limits = &self.limits[joint];
+            check_positive(&[
+                ("limits.torque", limits.torque),
+                ("limits.velocity", limits.velocity),
+                ("limits.position", limits.position.1 - limits.position.0),
+                ("slew_per_tick", self.slew_per_tick[joint]),
+                ("payload_bound", self.payload_bound[joint]),
+                ("learned_slew_per_tick", self.learned_slew_per_tick[joint]),
+            ])?;
+        }
+        Ok(())
+    }
+}
+
+/// `period_s`, s, in whole µs, at least 1: a quotient of seconds in f32 may lack its last tick.
+const fn whole_us(period_s: f32) -> u32 {
+    let us = (period_s * 1e6 + 0.5) as u32;
+    if us == 0 { 1 } else { us }
+}
 
 /// Output of one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,24 +121,15 @@ impl<const N: usize> Torque<N> {
 
 /// The feed-forward of one arm: configuration, state and scratch in one place.
 ///
-/// One tick, with the learner that works in its slack:
+/// One tick; the example of the [crate](crate) has the learner beside it.
 /// ```
-/// use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
+/// use foretorque::arm::ur5::{FeedForward, ParameterSet, Ur5};
 /// use foretorque::feedforward::FeedForwardConfig;
-/// use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
+/// use foretorque::joint::{JointMotion, JointSample};
 ///
-/// const PERIOD_S: f32 = 1e-3;
-/// let set = ParameterSet::nominal::<Ur5>(1);
-/// let config = FeedForwardConfig::for_arm::<Ur5, _>(PERIOD_S);
-/// let mut feedforward = FeedForward::new(config, set)?;
-/// let mut learner = Learner::new(LearnerConfig::for_arm::<Ur5>(PERIOD_S), set)?;
-/// let mut exchange = Exchange::new();
-/// feedforward.set_learning(true);
-///
-/// let measured = Some(JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() });
-/// feedforward.adopt(&mut exchange);
-/// let torque = feedforward.step(&JointSample { desired: JointMotion::zero(), measured });
-/// learner.learn(&feedforward.learning_sample(measured), &mut exchange);
+/// let config = FeedForwardConfig::for_arm::<Ur5, _>(1e-3);
+/// let mut feedforward = FeedForward::new(config, ParameterSet::nominal::<Ur5>(1))?;
+/// let torque = feedforward.step(&JointSample { desired: JointMotion::zero(), measured: None });
 ///
 /// // At q = 0 the arm lies stretched out: the shoulder holds it up, from rest by the slew limit.
 /// assert!(torque.shares.rigid[1].abs() > 30.0);

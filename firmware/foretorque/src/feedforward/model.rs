@@ -1,6 +1,6 @@
 //! The models a tick evaluates: the loaded one, and what was learnt since, for the motion it was learnt on.
 
-use super::config::FeedForwardConfig;
+use super::FeedForwardConfig;
 use super::shares::{JointShares, network_share};
 use crate::dynamics::{
     BaseParameters, FRICTION_COLUMNS, FrictionBound, FrictionColumn, FrictionParameters,
@@ -238,12 +238,12 @@ impl<const N: usize, const P: usize> Difference<N, P> {
     /// Shares of `joint` of a set that differs from the loaded one by `self`: the loaded set's `rigid` and `friction` for
     /// the desired motion, plus the learnt difference for the motion inside the learnt range.
     ///
-    /// * `rigid` torque of the loaded rigid body and of what was learnt of it, N·m
+    /// * `learnt` torque of the difference of the rigid bodies, N·m
     #[inline(always)]
     pub(super) fn shares(
         &self,
         joint: usize,
-        (rigid, friction): (f32, f32),
+        [rigid, friction, learnt]: [f32; 3],
         network: &JointNetwork,
         [desired, bounded]: [&AtSpeed; 2],
         torque_limit: f32,
@@ -255,7 +255,7 @@ impl<const N: usize, const P: usize> Difference<N, P> {
             desired
         };
         JointShares {
-            rigid,
+            rigid: rigid + self.share[joint] * learnt,
             friction: friction + bounded.friction(&self.friction[joint]),
             network: network_share(network, &speed.inputs.into(), torque_limit, flags),
         }
@@ -279,11 +279,8 @@ mod tests {
             for qd in [-3.0, -0.2, -1e-3, 0.0, 1e-3, 0.2, 0.21, 3.0] {
                 let desired = AtSpeed::new(qd, cogging, load);
                 let direct = AtSpeed::new(cut(qd, edge).0, cogging, load);
-                assert_eq!(
-                    range.cut(0, qd, load, &desired),
-                    direct,
-                    "{qd} beyond {edge}"
-                );
+                let cut = range.cut(0, qd, load, &desired);
+                assert_eq!(cut, direct, "{qd} beyond {edge}");
             }
         }
     }

@@ -1,8 +1,7 @@
-use super::Torque;
-use super::config::FeedForwardConfig;
 use super::model::{AtSpeed, TickMotion};
 use super::shares::{Shares, select};
 use super::state::FeedForwardState;
+use super::{FeedForwardConfig, Torque};
 use crate::arm::Arm;
 use crate::dynamics::{Pose, cogging, rnea_of};
 use crate::joint::{JointSample, JointVector};
@@ -90,10 +89,7 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         let friction = desired.friction(&state.loaded.friction[joint]);
         let active = state.active_difference.shares(
             joint,
-            (
-                loaded + state.active_difference.share[joint] * active,
-                friction,
-            ),
+            [loaded, friction, active],
             &state.active.network[joint],
             speeds,
             limits.torque,
@@ -101,10 +97,7 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         );
         let committed = state.committed_difference.shares(
             joint,
-            (
-                loaded + state.committed_difference.share[joint] * committed,
-                friction,
-            ),
+            [loaded, friction, committed],
             &state.committed.network[joint],
             speeds,
             limits.torque,

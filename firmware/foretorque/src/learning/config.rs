@@ -1,9 +1,9 @@
 use super::conditioning::TAPS;
-use super::error::{ConfigError, check_positive};
 use super::parameters::LinearParameters;
 use super::prior_covariance::rigid_sigma;
 use super::supervisor::config::SupervisorConfig;
 use super::trainer::TrainerConfig;
+use super::{ConfigError, check_positive};
 use crate::arm::{Arm, ArmModel, table};
 use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
 
@@ -106,7 +106,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     ///
     /// Errors: the first invalid field.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let positive = [
+        check_positive(&[
             ("inv_period", self.inv_period),
             ("noise", self.noise),
             ("velocity_gate", self.velocity_gate),
@@ -119,10 +119,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("torque_step", self.torque_step),
             ("network.clip_sigmas", self.network.clip_sigmas),
             ("network.memory_rows", self.network.memory_rows),
-        ];
+        ])?;
         let [friction, rigid] = self.sigma.parts();
-        let rigid = rigid.iter().map(|&s| ("sigma.rigid", s));
-        check_positive(positive.into_iter().chain(rigid))?;
+        for &sigma in rigid {
+            check_positive(&[("sigma.rigid", sigma)])?;
+        }
         if !friction.iter().all(|&s| s >= 0.0 && s.is_finite()) {
             return Err(ConfigError::NotPositive("sigma.friction"));
         }

@@ -171,6 +171,11 @@ impl DecisionLog {
         })
     }
 
+    /// Decisions from number `index` on that are still in the ring, the oldest first.
+    pub fn since(&self, index: u32) -> impl Iterator<Item = Decision> {
+        (index..self.count).filter_map(|index| self.get(index))
+    }
+
     /// Newest decision.
     pub fn newest(&self) -> Option<Decision> {
         self.get(self.count.wrapping_sub(1))
@@ -184,10 +189,8 @@ mod tests {
     #[test]
     fn every_code_means_its_reason() {
         for (code, reason) in (1..).zip(Reason::ALL) {
-            assert_eq!(
-                (reason as u8, Reason::from_code(code)),
-                (code, Some(reason))
-            );
+            assert_eq!(reason as u8, code);
+            assert_eq!(Reason::from_code(code), Some(reason));
         }
         assert_eq!([0, 26].map(Reason::from_code), [None; 2]);
     }
@@ -207,11 +210,8 @@ mod tests {
         }
         for index in 0..25 {
             let logged = log.get(index).map(|decision| decision.tick);
-            assert_eq!(
-                logged,
-                (12..20).contains(&index).then_some(index),
-                "{index}"
-            );
+            let kept = (12..20).contains(&index).then_some(index);
+            assert_eq!(logged, kept, "{index}");
         }
     }
 }

@@ -60,12 +60,8 @@ impl<const K: usize> DenseUdFilter<K> {
         for (theta, gain) in next.theta.iter_mut().zip(&gain) {
             *theta += gain * step;
         }
-        if next
-            .theta
-            .iter()
-            .chain(&next.diagonal)
-            .all(|x| x.is_finite())
-        {
+        let mut numbers = next.theta.iter().chain(&next.diagonal);
+        if numbers.all(|x| x.is_finite()) {
             *self = next;
         }
         alpha
@@ -125,11 +121,8 @@ mod tests {
             covariance -= gain * gain.transpose() / (phi.dot(&gain) + 0.04);
         }
         for k in 0..3 {
-            assert!(
-                (filter.theta[k] - truth[k]).abs() < 0.01,
-                "{:?}",
-                filter.theta
-            );
+            let error = (filter.theta[k] - truth[k]).abs();
+            assert!(error < 0.01, "{k}: {error}");
             let ratio = f64::from(filter.variance(k)) / covariance[(k, k)];
             assert!((ratio - 1.0).abs() < 1e-3, "{k}: {ratio}");
         }

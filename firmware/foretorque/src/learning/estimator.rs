@@ -1,12 +1,11 @@
 mod bounds;
-mod correlation;
-mod variance;
+mod noise;
 
 use super::conditioning::ConditionedSample;
 use super::config::LearnerConfig;
+use super::parameters::StartDeviations;
 use super::parameters::{JointEntries, LinearParameters, ParameterSet};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
-use super::start_deviations::StartDeviations;
 use super::ud::UdFilter;
 use crate::arm::Arm;
 use crate::dynamics::{
@@ -16,8 +15,7 @@ use crate::joint::{JointMotion, JointVector};
 use crate::limits::cut;
 use crate::math::sqrt;
 use bounds::{BOUNDED, Violation};
-use correlation::NoiseCorrelation;
-use variance::{FIRST_ROWS, FIRST_VARIANCE, MEDIAN_SQUARED, update_variance};
+use noise::{FIRST_ROWS, FIRST_VARIANCE, MEDIAN_SQUARED, NoiseCorrelation, update_variance};
 
 /// Prior factors added in one tick after a reset; all are added before the measurement window is full.
 const FACTORS_PER_TICK: usize = 3;
@@ -27,18 +25,16 @@ pub fn torque_row<A: Arm<N, P>, const N: usize, const P: usize>(
     joint: usize,
     sample: &ConditionedSample<N>,
 ) -> LinearParameters<N, P> {
-    match Pose::of::<A, P>(&sample.motion.q) {
-        Some(pose) => {
-            let entries = torque_row_at::<A, N, P>(joint, &pose, &sample.motion);
-            let mut row = LinearParameters::filled(0.0);
-            row.rigid = entries.rigid;
-            if let Some(own) = row.friction.get_mut(joint) {
-                *own = entries.own;
-            }
-            row
-        }
-        None => LinearParameters::filled(f32::NAN),
+    let Some(pose) = Pose::of::<A, P>(&sample.motion.q) else {
+        return LinearParameters::filled(f32::NAN);
+    };
+    let entries = torque_row_at::<A, N, P>(joint, &pose, &sample.motion);
+    let mut row = LinearParameters::filled(0.0);
+    row.rigid = entries.rigid;
+    if let Some(own) = row.friction.get_mut(joint) {
+        *own = entries.own;
     }
+    row
 }
 
 /// [`torque_row`] in the `pose` of `motion`.
@@ -48,13 +44,12 @@ pub(super) fn torque_row_at<A: Arm<N, P>, const N: usize, const P: usize>(
     pose: &Pose<N>,
     motion: &JointMotion<N>,
 ) -> JointEntries<P> {
-    let [rigid] = regressor_row_at::<A, N, P>(joint, &pose.angles, motion)
-        .data
-        .0;
     let own = joint_friction_row::<A, N, P>(joint, &pose.load, motion);
     JointEntries {
         own: own.unwrap_or_default(),
-        rigid,
+        rigid: regressor_row_at::<A, N, P>(joint, &pose.angles, motion)
+            .data
+            .0[0],
     }
 }
 
@@ -142,10 +137,9 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             let Some(mut factor) = prior_factor::<A, N, P>(self.factors_added) else {
                 break;
             };
-            factor
-                .iter_mut()
-                .zip(&parts.rigid)
-                .for_each(|(d, part)| *d *= part);
+            for (d, part) in factor.iter_mut().zip(&parts.rigid) {
+                *d *= part;
+            }
             self.filter.add_rigid_factor(&mut factor);
             self.factors_added += 1;
         }
@@ -207,9 +201,8 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
 
     /// Correlation factor ρ of `joint`: variance of a sum of its innovations over that of independent ones, at least 1.
     pub fn correlation(&self, joint: usize) -> f32 {
-        self.correlation
-            .get(joint)
-            .map_or(1.0, NoiseCorrelation::factor)
+        let correlation = self.correlation.get(joint);
+        correlation.map_or(1.0, NoiseCorrelation::factor)
     }
 
     /// Update with the torque `tau` of `joint`, N·m, and its `row`.

@@ -1,8 +1,8 @@
 use super::decision::DecisionLog;
 use super::parameters::ParameterSet;
+use super::parameters::StartDeviations;
 use super::quality::ModelQuality;
 use super::shares::LearntShare;
-use super::start_deviations::StartDeviations;
 use crate::dynamics::BaseParameters;
 use crate::joint::JointMeasurement;
 use crate::limits::Flags;

@@ -61,10 +61,8 @@
 mod change_detection;
 mod conditioning;
 mod config;
-mod consts;
 mod decision;
 mod dense_ud;
-mod error;
 mod estimator;
 mod exchange;
 mod learner;
@@ -73,7 +71,6 @@ mod payload;
 mod prior_covariance;
 mod quality;
 mod shares;
-mod start_deviations;
 mod supervisor;
 mod trainer;
 mod ud;
@@ -84,7 +81,6 @@ pub use conditioning::{
 };
 pub use config::LearnerConfig;
 pub use decision::{DECISION_CAPACITY, Decision, DecisionLog, Reason};
-pub use error::ConfigError;
 pub use estimator::{Correction, Estimator, torque_row};
 pub use exchange::{
     Exchange, LearnerReport, LearningSample, MotionRange, Publication, Request, RequestPending,
@@ -92,14 +88,42 @@ pub use exchange::{
 pub use learner::{Learner, LearnerState, LearnerStatistics};
 pub use parameters::{
     JointNetwork, LinearParameters, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
-    network_inputs,
+    StartDeviations, network_inputs,
 };
 pub(crate) use parameters::{network_inputs_at, network_output};
 pub use payload::{payload_bound, rated_payload};
 pub use prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 pub use quality::{ModelQuality, PayloadEstimate, Phase};
 pub use shares::LearntShare;
-pub use start_deviations::StartDeviations;
 pub use supervisor::config::SupervisorConfig;
 pub use trainer::TrainerConfig;
 pub use ud::UdFilter;
+
+/// Invalid field of a configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ConfigError {
+    /// The field is not a positive, finite number.
+    NotPositive(&'static str),
+    /// The field lies outside `0..1`.
+    RateOutOfRange(&'static str),
+}
+
+impl core::fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NotPositive(field) => write!(f, "{field} must be positive and finite"),
+            Self::RateOutOfRange(field) => write!(f, "{field} must lie between 0 and 1"),
+        }
+    }
+}
+
+impl core::error::Error for ConfigError {}
+
+/// Check of named fields; the first one that is not positive and finite is the error.
+#[inline(never)]
+pub(crate) fn check_positive(fields: &[(&'static str, f32)]) -> Result<(), ConfigError> {
+    let is_bad = |value: f32| !(value > 0.0 && value.is_finite());
+    let bad = fields.iter().find(|(_, value)| is_bad(*value));
+    bad.map_or(Ok(()), |(field, _)| Err(ConfigError::NotPositive(field)))
+}

@@ -40,11 +40,8 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
     /// with output layers of zeros.
     pub fn nominal<A: Arm<N, P>>(seed: u32) -> Self {
         let mut network = [JointNetwork::zeros(); N];
-        for (seed, network) in (0..)
-            .map(|joint| seed.wrapping_add(joint))
-            .zip(&mut network)
-        {
-            *network = JointNetwork::silent(seed);
+        for (joint, network) in (0..).zip(&mut network) {
+            *network = JointNetwork::silent(seed.wrapping_add(joint));
         }
         Self {
             rigid: *A::nominal(),
@@ -55,12 +52,9 @@ impl<const N: usize, const P: usize> ParameterSet<N, P> {
 
     /// True if every parameter is finite.
     pub fn is_finite(&self) -> bool {
-        let rigid = self.rigid.as_slice().iter().all(|p| p.is_finite());
-        let friction = self
-            .friction
-            .iter()
-            .all(|f| f.0.iter().all(|p| p.is_finite()));
-        rigid && friction && self.network.iter().all(JointNetwork::is_finite)
+        let friction = self.friction.iter().flat_map(|joint| &joint.0);
+        let mut linear = self.rigid.as_slice().iter().chain(friction);
+        linear.all(|p| p.is_finite()) && self.network.iter().all(JointNetwork::is_finite)
     }
 }
 
@@ -210,6 +204,50 @@ impl<const P: usize> JointEntries<P> {
     }
 }
 
+/// Least part of the prior deviation: drives change after identification.
+const LEAST_PART: f32 = 0.05;
+/// Parts are stored in bytes.
+const PART_UNIT: f32 = 1.0 / u8::MAX as f32;
+
+/// Standard deviations of a set from which learning starts, as parts of the prior deviations in 1/255.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StartDeviations<const N: usize, const P: usize> {
+    /// Friction, joint by joint.
+    pub friction: [[u8; FRICTION_COLUMNS]; N],
+    /// Base parameters.
+    pub rigid: [u8; P],
+}
+
+impl<const N: usize, const P: usize> StartDeviations<N, P> {
+    /// Prior deviations, of a set without deviations of its own.
+    pub const PRIOR: Self = Self {
+        friction: [[u8::MAX; FRICTION_COLUMNS]; N],
+        rigid: [u8::MAX; P],
+    };
+
+    /// Part for a parameter of a set: its `deviation`, within 5 % to 100 % of the `prior` one.
+    ///
+    /// A deviation that is not a positive number gives the prior one.
+    pub fn part(deviation: f32, prior: f32) -> u8 {
+        let part = deviation / prior;
+        if deviation > 0.0 && part < 1.0 {
+            let part = if part > LEAST_PART { part } else { LEAST_PART };
+            (part / PART_UNIT + 0.5) as u8
+        } else {
+            u8::MAX
+        }
+    }
+
+    /// Parts of the prior deviations.
+    pub(super) fn parts(&self) -> LinearParameters<N, P> {
+        let part = |byte: u8| f32::from(byte) * PART_UNIT;
+        LinearParameters {
+            friction: self.friction.map(|joint| joint.map(part)),
+            rigid: self.rigid.map(part),
+        }
+    }
+}
+
 /// Partial sums of [`dot`]: their loads and additions do not wait for each other.
 const LANES: usize = 4;
 
@@ -229,4 +267,19 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
         rest += a * b;
     }
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_lies_within_its_range_whatever_the_deviation() {
+        let part = |deviation| StartDeviations::<1, 1>::part(deviation, 2.0);
+        for (deviation, expected) in [(0.6, 77), (2.0, 255), (1e-6, 13), (0.0, 255), (-1.0, 255)] {
+            assert_eq!(part(deviation), expected, "{deviation}");
+        }
+        assert_eq!([part(f32::NAN), part(f32::INFINITY)], [255; 2]);
+        assert_eq!(StartDeviations::<1, 1>::part(0.1, 0.0), 255);
+    }
 }

@@ -1,5 +1,5 @@
-use super::consts::{self, GRAVITY};
 use super::dense_ud::DenseUdFilter;
+use super::prior_covariance::{self, GRAVITY};
 use super::quality::PayloadEstimate;
 use crate::arm::{Arm, ArmModel, LINK_PARAMETERS, table};
 use crate::dynamics::BaseParameters;
@@ -28,7 +28,7 @@ const fn stretch<const N: usize, const P: usize>(arm: &ArmModel<N, P>, joint: us
     let mut later = joint + 1;
     while later < N {
         let [x, y, z] = arm.placements[later].origin;
-        length += consts::sqrt(x * x + y * y + z * z);
+        length += prior_covariance::sqrt(x * x + y * y + z * z);
         later += 1;
     }
     length

@@ -185,10 +185,8 @@ impl<const N: usize> Monitor<N> {
         fade(&mut sums.weight, 1.0);
         fade(&mut sums.measured, row.measured);
         fade(&mut sums.residual, row.residual);
-        fade(
-            &mut sums.noise,
-            core::f32::consts::FRAC_1_SQRT_2 * (row.residual - sums.last),
-        );
+        let change = row.residual - sums.last;
+        fade(&mut sums.noise, core::f32::consts::FRAC_1_SQRT_2 * change);
         sums.last = row.residual;
         for (sum, share) in sums.shares.iter_mut().zip(row.shares) {
             fade(sum, share);
@@ -263,12 +261,8 @@ mod tests {
         assert_eq!(quality.trust, 1.0);
         let mut changes = std::vec::Vec::new();
         for round in 0..6000 {
-            let residual = if (1000..3000).contains(&round) {
-                0.2
-            } else {
-                0.01
-            };
-            monitor.add_row(0, &row(residual));
+            let wrong = (1000..3000).contains(&round);
+            monitor.add_row(0, &row(if wrong { 0.2 } else { 0.01 }));
             monitor.add_row(1, &row(0.01));
             changes.extend(monitor.update_trust(&mut quality, 0.7, 0.01));
         }
@@ -289,9 +283,9 @@ mod tests {
         monitor.update_trust(&mut quality, 0.7, 0.01);
         assert!(quality.trust > 0.95, "{quality:?}");
         for _ in 0..2000 {
-            (0..6).for_each(|joint| {
-                monitor.add_row(joint, &row(if joint == 1 { 0.15 } else { 0.01 }))
-            });
+            for joint in 0..6 {
+                monitor.add_row(joint, &row(if joint == 1 { 0.15 } else { 0.01 }));
+            }
         }
         monitor.update_trust(&mut quality, 0.7, 0.01);
         assert!(quality.trust < 0.55, "{quality:?}");

@@ -32,12 +32,8 @@ impl<const N: usize> LearntShare<N> {
     ) -> LinearParameters<N, P> {
         let mut set = *learnt;
         blend(&loaded.rigid, &mut set.rigid, self.rigid);
-        for ((loaded, set), share) in loaded
-            .friction
-            .iter()
-            .zip(&mut set.friction)
-            .zip(self.joint)
-        {
+        let joints = loaded.friction.iter().zip(&mut set.friction);
+        for ((loaded, set), share) in joints.zip(self.joint) {
             blend(loaded, set, share);
         }
         set
@@ -124,11 +120,8 @@ impl<const N: usize> ShareEvidence<N> {
         let widest = if qd < 0.0 { backward } else { forward };
         let known = *widest;
         *widest += (qd.abs() - known).clamp(0.0, RANGE_STEP);
-        let growth = if *widest > known {
-            known / *widest
-        } else {
-            1.0
-        };
+        let grown = *widest > known;
+        let growth = if grown { known / *widest } else { 1.0 };
         let young = fade.min(*rows as f32 / (*rows as f32 + 1.0));
         *cross = young * growth * *cross + product;
         *power = young * growth * *power + weight * change * change;
@@ -225,10 +218,8 @@ mod tests {
             evidence.share(0, NOISE)
         };
         let [same, faster, back] = [QD, 8.0 * QD, -QD].map(share_at);
-        assert!(
-            same > 0.75 && faster < 0.4 && back < 0.05,
-            "{same} {faster} {back}"
-        );
+        let falls = same > 0.75 && faster < 0.4 && back < 0.05;
+        assert!(falls, "{same} {faster} {back}");
         // One error of an encoder costs a part of the evidence only.
         let mut evidence = ShareEvidence::<2>::NONE;
         evidence.range[0] = [0.5; 2];
@@ -268,10 +259,7 @@ mod tests {
 
     #[test]
     fn a_blend_at_its_ends_is_the_set_bit_for_bit() {
-        let (a, b) = (
-            LinearParameters::<2, 3>::filled(0.1),
-            LinearParameters::filled(0.7),
-        );
+        let [a, b] = [0.1, 0.7].map(LinearParameters::<2, 3>::filled);
         assert_eq!(LearntShare::FULL.blend(&a, &b), b);
         assert_eq!(LearntShare::NONE.blend(&a, &b), a);
         let share = LearntShare {

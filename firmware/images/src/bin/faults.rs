@@ -13,7 +13,8 @@ mod trial {
 
     use foretorque::arm::Arm as _;
     use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5 as Arm};
-    use foretorque_f405::fault::{self, EnablePin, Reason};
+    use foretorque_f405::board::EnablePin;
+    use foretorque_f405::fault::{self, Reason};
     use foretorque_f405::odrive_v3::OdriveV3;
     use foretorque_link::hal::TorqueEnable;
     use foretorque_link::safety::SafetyStatus;

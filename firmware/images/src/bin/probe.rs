@@ -50,12 +50,8 @@ mod proof {
         let mut bytes = black_box([0u8; 64]);
         loop {
             // Every message of the link: decode, tick, bank, statistics, reset.
-            session.receive(
-                black_box(&bytes),
-                &mut mailboxes,
-                &mut out,
-                &mut NoLocalSensor,
-            );
+            let received = black_box(&bytes);
+            session.receive(received, &mut mailboxes, &mut out, &mut NoLocalSensor);
             session.timer_tick(&mut mailboxes, &mut out, &mut NoLocalSensor);
             housekeeping.work(&mut mailboxes.parameters);
             session.poll_parameters(&mut mailboxes, &mut out);

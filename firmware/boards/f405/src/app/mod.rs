@@ -16,10 +16,8 @@
 //!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 
-mod idle;
 mod start;
 
-pub use idle::Idle;
 pub use start::{Started, Statics, start};
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -30,14 +28,15 @@ use foretorque_link::wire::{FrameBuffer, MAX_FRAME};
 use rtic::Mutex;
 use stm32f4xx_hal::pac::Interrupt;
 
-use crate::arm::{BoardMailboxes, BoardSession, Learner};
+use crate::arm::{BoardHousekeeping, BoardMailboxes, BoardSession, Learner};
 use crate::board::{Board, Drive as _};
 use crate::counter;
 use crate::fault::{self, Reason};
 use crate::frame_bound::FrameBound;
-use crate::link::{self, RECEIVE_RING, Receiver, Sender, TRANSMIT_RING, Wire};
+use crate::link::{self, RECEIVE_RING, RECEIVED, Receiver, Sender, TRANSMIT_RING, Wire};
+use crate::log;
 use crate::tick_timer::{self, TickTimer};
-use crate::watchdog::{self, TASKS};
+use crate::watchdog::{self, TASKS, Watchdog};
 
 /// Interrupt of the tick's task.
 pub(crate) const TICK: Interrupt = Interrupt::EXTI1;
@@ -86,20 +85,14 @@ impl<B: Board> Tick<B> {
         mailboxes.lock(|mailboxes| self.run_locked(mailboxes));
         // Without a learning sample too: the learner checks in.
         rtic::pend(LEARN);
-        let Self {
-            session,
-            timer,
-            losses,
-            latency,
-            ..
-        } = self;
-        timer.configure(session.configuration());
-        session.note_line(link::receive_cost(), latency.cost());
+        let session = &mut *self.session;
+        self.timer.configure(session.configuration());
+        session.note_line(link::receive_cost(), self.latency.cost());
         session.note_feeds(watchdog::feeds());
         // Losses below the frames since the last tick. Counters wrap; only their difference counts.
         let now = link::losses().wrapping_add(tick_timer::missed());
-        while *losses != now {
-            *losses = losses.wrapping_add(1);
+        while self.losses != now {
+            self.losses = self.losses.wrapping_add(1);
             session.note_overrun();
         }
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
@@ -138,41 +131,32 @@ impl<B: Board> Tick<B> {
     /// Drives the outputs by the result, then sends the replies.
     #[inline(never)]
     fn put_out(&mut self, mailboxes: &BoardMailboxes, answers: bool) {
-        let Self {
-            session,
-            waiting,
-            out,
-            drive,
-            brake_open,
-            kept,
-            latency,
-            ..
-        } = self;
+        let session = &mut *self.session;
         // The outputs follow before the host reads of them.
-        drive.follow(session);
+        self.drive.follow(session);
         let open = session.brake_released();
-        if *brake_open != open {
-            *brake_open = open;
+        if self.brake_open != open {
+            self.brake_open = open;
             fault::release_brake::<B>(open);
         }
         let latched = session.latched_fault();
-        if *kept != latched {
-            *kept = latched;
+        if self.kept != latched {
+            self.kept = latched;
             fault::keep_latched(latched);
         }
         if session.reboot_wanted() {
             fault::leave::<B>(Reason::Requested, 0);
         }
         // A reply that waits for the learner is sent when that has woken this task again.
-        if out.is_empty() || mailboxes.learner.holds_reply() {
+        if self.out.is_empty() || mailboxes.learner.holds_reply() {
             return;
         }
-        if !link::send(waiting, out.as_bytes()) {
+        if !link::send(&mut self.waiting, self.out.as_bytes()) {
             session.note_reply_lost();
         } else if answers {
-            latency.note(link::since_frame());
+            self.latency.note(link::since_frame());
         }
-        out.clear();
+        self.out.clear();
     }
 }
 
@@ -191,6 +175,71 @@ pub fn learn(learner: &mut Learner, mailboxes: &mut impl Mutex<T = &'static mut 
     TASKS.check_in(Task::Learner);
 }
 
+/// Ticks between two lines of the log.
+const LOG_EVERY: u32 = 1000;
+
+/// The idle loop: log, store, watchdog.
+pub struct Idle {
+    watchdog: Watchdog,
+    housekeeping: &'static mut BoardHousekeeping,
+    drain: Option<log::Drain>,
+}
+
+impl Idle {
+    /// Never returns.
+    #[inline(always)]
+    pub fn run<B: Board>(
+        &mut self,
+        mailboxes: &mut impl Mutex<T = &'static mut BoardMailboxes>,
+    ) -> ! {
+        let (mut logged, mut ordered) = (0, false);
+        loop {
+            let ticks = TICKS.load(Ordering::Relaxed);
+            if ticks.wrapping_sub(logged) >= LOG_EVERY {
+                logged = ticks;
+                let cost = link::receive_cost();
+                defmt::info!(
+                    "tick {=u32}: {=u32} bytes in at {=u32} counts (max {=u32}), {=u32} lost, {=u32} overruns, {=u32} ticks missed",
+                    ticks,
+                    RECEIVED.bytes.load(Ordering::Relaxed),
+                    cost.mean,
+                    cost.max,
+                    RECEIVED.lost.load(Ordering::Relaxed),
+                    RECEIVED.overruns.load(Ordering::Relaxed),
+                    tick_timer::missed()
+                );
+            }
+            B::Drive::report();
+            if let Some(drain) = &self.drain {
+                drain.empty();
+            }
+            TASKS.check_in(Task::Housekeeping);
+            let fed = self.watchdog.feed_if_all_present();
+            let housekeeping = &mut *self.housekeeping;
+            ordered |= mailboxes.lock(|mailboxes| housekeeping.begin(&mut mailboxes.parameters));
+            // An erase begins only after a complete check-in: it gives the watchdog a longer time.
+            if ordered && (fed || !housekeeping.erases()) {
+                ordered = false;
+                let outcome = if housekeeping.erases() {
+                    self.watchdog.patient(|| housekeeping.execute())
+                } else {
+                    housekeeping.execute()
+                };
+                mailboxes.lock(|mailboxes| housekeeping.finish(&mut mailboxes.parameters, outcome));
+                // It replies to the host.
+                rtic::pend(TICK);
+            }
+            // A tick that came since the beginning of this round may have left work: an interrupt that is only pending
+            // ends the wait too, so none is slept through.
+            cortex_m::interrupt::free(|_| {
+                if !TICKED.swap(false, Ordering::Relaxed) {
+                    cortex_m::asm::wfi();
+                }
+            });
+        }
+    }
+}
+
 /// The firmware of a board, for the arm of [`arm`](crate::arm): its interrupts and fault handlers.
 #[macro_export]
 macro_rules! image {
@@ -199,7 +248,7 @@ macro_rules! image {
 
         #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
         mod app {
-            use $crate::app::{Idle, Started, Statics, Tick, byte, learn, start, timer};
+            use $crate::app::{Idle, Statics, Tick, byte, learn, start, timer};
             use $crate::arm::{BoardMailboxes, Learner};
             use $crate::link::Wire;
 
@@ -218,19 +267,14 @@ macro_rules! image {
 
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
-                let Started {
-                    mailboxes,
-                    wire,
-                    tick,
-                    learner,
-                    idle,
-                } = start::<$board>(cx.device, cx.core, cx.local.statics);
+                let started = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
-                    wire,
-                    tick,
-                    learner,
-                    idle,
+                    wire: started.wire,
+                    tick: started.tick,
+                    learner: started.learner,
+                    idle: started.idle,
                 };
+                let mailboxes = started.mailboxes;
                 (Shared { mailboxes }, local)
             }
 

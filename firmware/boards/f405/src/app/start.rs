@@ -19,11 +19,11 @@ use crate::chip::LINK_BYTES_S;
 use crate::clock;
 use crate::counter::{self, Counter};
 use crate::fault::{self, Reason};
+use crate::flash_driver::{Registers, StoreFlash};
 use crate::frame_bound::FrameBound;
 use crate::key_slot;
 use crate::link::{self, RECEIVE_RING, TRANSMIT_RING, Wire};
 use crate::log;
-use crate::store_flash::{Registers, StoreFlash};
 use crate::tick_timer::TickTimer;
 use crate::watchdog::Watchdog;
 

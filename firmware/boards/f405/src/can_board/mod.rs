@@ -15,7 +15,6 @@
 //! go on passing. In the emulator USART6 and UART4 carry the frames of both CAN ports. It has not run on silicon.
 
 mod ports;
-mod text;
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -35,11 +34,9 @@ use stm32f4xx_hal::rcc::Rcc;
 
 use crate::app::TICK;
 use crate::arm::{Arm, BoardSession, JOINTS, PARAMETERS};
-use crate::board::{Board, Drive, Pin, Ports, start_link};
+use crate::board::{Board, Drive, EnablePin, Pin, Ports, start_link, switch};
 use crate::clock::Clocks;
 use crate::counter;
-use crate::drive::switch;
-use crate::fault::EnablePin;
 use crate::link::{self, Receiver, Sender};
 use crate::pyboard::Pyboard;
 use ports::FramePort;
@@ -140,10 +137,8 @@ impl Drive for BusDrive {
         let role = wiring.as_ref().map_or(Role::InLine, |wiring| wiring.role);
         let ports = ports::start(clocks, wiring.as_ref());
         let mut profiles = [None; MOST];
-        for (slot, joint) in profiles
-            .iter_mut()
-            .zip(wiring.iter().flat_map(|w| &w.joints))
-        {
+        let joints = wiring.iter().flat_map(|wiring| &wiring.joints);
+        for (slot, joint) in profiles.iter_mut().zip(joints) {
             *slot = joint.map(|joint| joint.drive);
         }
         let expiry = match clocks.source {
@@ -214,9 +209,9 @@ impl Drive for BusDrive {
         let torques = drives.follow(session, off, |bus, frame| give(Order::Send(bus, *frame)));
         let torques = torques.map(|torques| {
             let mut all = [0.0; MOST];
-            all.iter_mut()
-                .zip(&torques)
-                .for_each(|(to, from)| *to = *from);
+            for (to, from) in all.iter_mut().zip(&torques) {
+                *to = *from;
+            }
             all
         });
         give(Order::Add(torques));

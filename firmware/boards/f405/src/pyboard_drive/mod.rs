@@ -5,26 +5,35 @@
 //! an example: they belong to one joint and its drive, and docs/board.md describes how to find them.** Sources: as there, and the
 //! data sheets AS5047P v1-06 and DS8626, table 9 (alternate functions).
 
-mod drive;
 mod pins;
-mod pulse;
 mod spi;
 
-use foretorque_link::drive::TurnReference;
-use foretorque_link::hal::{Direction, EncoderConfig, TorqueScale};
+use core::cell::Cell;
+
+use cortex_m::interrupt::{self, Mutex};
+use foretorque_link::drive::{JointEncoder, JointStage, TurnReference};
+use foretorque_link::hal::{
+    AbsoluteEncoder, Direction, EncoderConfig, EncoderError, MotorStage, PwmWithDirection,
+    StageError, TorqueScale,
+};
+use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::gpio::PinState;
 use stm32f4xx_hal::pac::{SPI1, TIM1};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
 
-use crate::board::{Board, Pin, Ports, start_link};
+use crate::arm::{BoardSession, JOINTS};
+use crate::board::{Board, Drive, Pin, Ports, start_link};
+use crate::clock::Clocks;
 use crate::pyboard::Pyboard;
+use pins::{DirectionPin, FaultInput, Pulse, StageEnable};
+use spi::EncoderDevice;
 
 /// The joint that this board drives, from 0: the shoulder lift.
 const JOINT: usize = 1;
 
 /// From torque to pulse width. The gain is also that of the bank if currents are measured.
-pub(crate) const SCALE: TorqueScale = TorqueScale {
+const SCALE: TorqueScale = TorqueScale {
     gain_nm_per_a: 12.5,
     // At a duty of 1: what the drive is set to take for its largest current command.
     full_scale_a: 16.0,
@@ -33,36 +42,36 @@ pub(crate) const SCALE: TorqueScale = TorqueScale {
 
 /// Timer of the pulse width, channel 1N on PB13 (Y6), alternate function 1: the one timer whose break input the card has
 /// on a pin, so that a fault of the stage ends the pulses without the processor.
-pub(crate) type PulseTimer = TIM1;
+type PulseTimer = TIM1;
 /// Counts of a period, and so of a full duty: 20 kHz from 168 MHz, above hearing; one count is 1/8400 of the full scale.
 /// From the bare oscillator of 16 MHz it is 1.9 kHz.
-pub(crate) const PULSE_TOP: u16 = 8400;
+const PULSE_TOP: u16 = 8400;
 /// Direction of the torque: PB9 (Y4), high for +.
-pub(crate) const DIRECTION: Pin = Pin::B(9);
+const DIRECTION: Pin = Pin::B(9);
 /// Fault of the stage, active low: PB12 (Y5), which is also the break input of the timer, alternate function 1.
-pub(crate) const FAULT: Pin = Pin::B(12);
+const FAULT: Pin = Pin::B(12);
 
 /// Bus of the encoder: clock PA5 (X6), from the chip PA6 (X7), to the chip PA7 (X8), alternate function 5.
-pub(crate) type EncoderBus = SPI1;
+type EncoderBus = SPI1;
 /// Chip select of the encoder: PA4 (X5), active low.
-pub(crate) const SELECT: Pin = Pin::A(4);
+const SELECT: Pin = Pin::A(4);
 /// Division of APB2 for the clock of the bus, 2^(n + 1): 84 MHz / 16 = 5.25 MHz; 10 MHz are allowed.
-pub(crate) const ENCODER_DIVIDER: u8 = 3;
+const ENCODER_DIVIDER: u8 = 3;
 /// Cycles from select to clock, clock to select, and between frames: at least 350 ns (AS5047P, SPI timing), 59 at 168 MHz.
-pub(crate) const SELECT_CYCLES: u32 = 64;
+const SELECT_CYCLES: u32 = 64;
 /// Reads of the ready flag before a byte is given up. A byte takes 256 cycles, a read at least three.
-pub(crate) const ENCODER_POLLS: u32 = 200;
+const ENCODER_POLLS: u32 = 200;
 
 /// Zero, sign and ratio of the encoder: on the link, counting with +q. A thousand counts between two readings are 0.38 rad,
 /// more than the joint can move in the 50 ms that readings may fail.
-pub(crate) const ENCODER: EncoderConfig = EncoderConfig {
+const ENCODER: EncoderConfig = EncoderConfig {
     zero_counts: 0,
     direction: Direction::Same,
     ratio: 1.0,
     largest_step: 1000,
 };
 /// One turn of the encoder is one of the joint: at start it is taken to be within ± π.
-pub(crate) const TURN: TurnReference = TurnReference::Near(0.0);
+const TURN: TurnReference = TurnReference::Near(0.0);
 
 /// The board.
 pub struct PyboardDrive;
@@ -74,7 +83,7 @@ impl Board for PyboardDrive {
     const BRAKE: Option<Pin> = Pyboard::BRAKE;
     const OWN_JOINT: Option<usize> = Some(JOINT);
 
-    type Drive = drive::StageAndEncoder;
+    type Drive = StageAndEncoder;
 
     /// Direction low, no pulses, encoder not selected, link as on the card.
     fn start_pins(ports: Ports, rcc: &mut Rcc) {
@@ -93,5 +102,78 @@ impl Board for PyboardDrive {
         a.pa6.into_alternate::<5>().internal_pull_up(true);
         a.pa7.into_alternate::<5>();
         start_link(a.pa2, a.pa3);
+    }
+}
+
+/// Errors of stage and encoder, for the log, which the tick does not write.
+#[derive(Clone, Copy, PartialEq)]
+struct Faults {
+    stage: Option<StageError>,
+    encoder: Option<EncoderError>,
+}
+
+impl Faults {
+    const NONE: Self = Self {
+        stage: None,
+        encoder: None,
+    };
+}
+
+static SEEN: Mutex<Cell<Faults>> = Mutex::new(Cell::new(Faults::NONE));
+static LOGGED: Mutex<Cell<Faults>> = Mutex::new(Cell::new(Faults::NONE));
+
+/// Motor stage and encoder of the own joint.
+pub struct StageAndEncoder {
+    stage: JointStage<PwmWithDirection<Pulse, DirectionPin>, StageEnable, FaultInput>,
+    encoder: JointEncoder<EncoderDevice>,
+}
+
+impl Drive for StageAndEncoder {
+    type Own = JointEncoder<EncoderDevice>;
+
+    #[inline(never)]
+    fn start(_: &Clocks) -> Option<Self> {
+        let output = PwmWithDirection::new(Pulse::start(), DirectionPin);
+        let stage = MotorStage::new(output, StageEnable, FaultInput, SCALE);
+        let encoder = AbsoluteEncoder::new(EncoderDevice::start(), ENCODER);
+        let mut encoder = JointEncoder::new(encoder.ok()?, JOINT, TURN);
+        // The first frame only requests a reading, so that the first tick has a position.
+        let _ = LocalSensor::<JOINTS>::measure(&mut encoder, &mut None, true);
+        Some(Self {
+            stage: JointStage::new(stage.ok()?, JOINT),
+            encoder,
+        })
+    }
+
+    fn watch(&mut self, session: &mut BoardSession) {
+        self.stage.check(session);
+    }
+
+    fn own(&mut self) -> &mut Self::Own {
+        &mut self.encoder
+    }
+
+    fn follow(&mut self, session: &mut BoardSession) {
+        self.stage.apply(session);
+        let seen = Faults {
+            stage: self.stage.last_error(),
+            encoder: self.encoder.last_error(),
+        };
+        interrupt::free(|token| SEEN.borrow(token).set(seen));
+    }
+
+    fn report() {
+        let (seen, logged) = interrupt::free(|token| {
+            let seen = SEEN.borrow(token).get();
+            (seen, LOGGED.borrow(token).replace(seen))
+        });
+        if let Some(error) = seen.stage.filter(|_| seen.stage != logged.stage) {
+            defmt::error!("stage: {=str}", error.text());
+        }
+        match seen.encoder {
+            error if error == logged.encoder => {}
+            Some(error) => defmt::warn!("encoder: {=str}", error.text()),
+            None => defmt::info!("encoder: a position"),
+        }
     }
 }

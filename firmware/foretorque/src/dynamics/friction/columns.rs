@@ -3,7 +3,7 @@
 //! Regressor, tick, estimator, prior, parameter bank and identification read their lists of columns here. A new column is a
 //! new entry.
 
-use super::real::Real;
+use super::Real;
 use crate::arm::JointLimits;
 use core::ops::{Index, IndexMut};
 
@@ -73,8 +73,6 @@ pub struct FrictionProperties {
     /// Changes with temperature, grease and wear: the estimator adds process noise, in proportion to the mean square of the
     /// parameter if it has a bound.
     pub random_walk: bool,
-    /// Periodic in the position; only on joints with cogging cycles.
-    pub cogging: bool,
 }
 
 /// Width of the Stribeck peak, rad/s.
@@ -147,7 +145,6 @@ friction_columns! {
         prior: FrictionPrior::TorqueAtFullSpeed(0.1),
         bound: FrictionBound::NotNegative,
         random_walk: true,
-        cogging: false,
     }
     /// Coulomb friction.
     Coulomb {
@@ -159,7 +156,6 @@ friction_columns! {
         prior: FrictionPrior::Torque(0.03),
         bound: FrictionBound::NotNegative,
         random_walk: true,
-        cogging: false,
     }
     /// Stribeck peak.
     ///
@@ -174,7 +170,6 @@ friction_columns! {
         prior: FrictionPrior::Torque(0.01),
         bound: FrictionBound::CoulombPart(0.5),
         random_walk: true,
-        cogging: false,
     }
     /// Shear thinning of the lubricant: friction of slow motion beside Coulomb and viscous friction, half gone at
     /// 0.6 rad/s. Negative where friction grows ever less with speed.
@@ -192,7 +187,6 @@ friction_columns! {
         prior: FrictionPrior::Torque(0.012),
         bound: FrictionBound::CoulombPart(0.5),
         random_walk: true,
-        cogging: false,
     }
     /// Friction under load: teeth and bearings are pressed together.
     ///
@@ -207,7 +201,6 @@ friction_columns! {
         prior: FrictionPrior::Fixed(0.013),
         bound: FrictionBound::NotNegative,
         random_walk: false,
-        cogging: false,
     }
     /// Constant torque of the drive: the zero of its current sensor, which drifts with the temperature; a dress pack.
     Offset {
@@ -219,7 +212,6 @@ friction_columns! {
         prior: FrictionPrior::Torque(0.015),
         bound: FrictionBound::None,
         random_walk: true,
-        cogging: false,
     }
     /// Cogging in phase with the sine.
     CoggingSine {
@@ -231,7 +223,6 @@ friction_columns! {
         prior: FrictionPrior::Torque(0.005),
         bound: FrictionBound::None,
         random_walk: false,
-        cogging: true,
     }
     /// Cogging in phase with the cosine.
     CoggingCosine {
@@ -243,7 +234,6 @@ friction_columns! {
         prior: FrictionPrior::Torque(0.005),
         bound: FrictionBound::None,
         random_walk: false,
-        cogging: true,
     }
 }
 
@@ -298,14 +288,13 @@ impl IndexMut<FrictionColumn> for FrictionParameters {
     }
 }
 
-/// Number of columns with `random_walk`, of columns with `cogging`, and of columns with a bound.
-const COUNTS: [usize; 3] = {
-    let (mut counts, mut part, mut k) = ([0; 3], 0.0, 0);
+/// Number of columns with `random_walk`, and of columns with a bound.
+const COUNTS: [usize; 2] = {
+    let (mut counts, mut part, mut k) = ([0; 2], 0.0, 0);
     while k < FRICTION_COLUMNS {
         let column = FrictionColumn::ALL[k].properties();
         counts[0] += column.random_walk as usize;
-        counts[1] += column.cogging as usize;
-        counts[2] += !matches!(column.bound, FrictionBound::None) as usize;
+        counts[1] += !matches!(column.bound, FrictionBound::None) as usize;
         if let FrictionBound::CoulombPart(more) = column.bound {
             part += more;
         }
@@ -315,31 +304,28 @@ const COUNTS: [usize; 3] = {
     counts
 };
 
-/// The `C` columns with `cogging`, or else those with `random_walk`, in their order.
-const fn chosen<const C: usize>(cogging: bool) -> [FrictionColumn; C] {
-    let (mut columns, mut next, mut k) = ([FrictionColumn::ALL[0]; C], 0, 0);
+/// The columns that follow a random walk.
+pub const RANDOM_WALK_COLUMNS: [FrictionColumn; COUNTS[0]] = {
+    let (mut columns, mut next, mut k) = ([FrictionColumn::ALL[0]; COUNTS[0]], 0, 0);
     while k < FRICTION_COLUMNS {
-        let column = FrictionColumn::ALL[k].properties();
-        if (cogging && column.cogging) || (!cogging && column.random_walk) {
+        if FrictionColumn::ALL[k].properties().random_walk {
             columns[next] = FrictionColumn::ALL[k];
             next += 1;
         }
         k += 1;
     }
     columns
-}
+};
 
-/// The columns that follow a random walk.
-pub const RANDOM_WALK_COLUMNS: [FrictionColumn; COUNTS[0]] = chosen(false);
-
-/// The cogging columns.
-pub const COGGING_COLUMNS: [FrictionColumn; COUNTS[1]] = chosen(true);
+/// The cogging columns, periodic in the position; only on joints with cogging cycles.
+pub const COGGING_COLUMNS: [FrictionColumn; 2] =
+    [FrictionColumn::CoggingSine, FrictionColumn::CoggingCosine];
 
 /// Bounds of friction that dissipates at every velocity and load: `Σ a_k p_k >= 0` over the parameters p for each row a.
 ///
 /// Sufficient, column by column: [`FrictionBound`].
-pub const DISSIPATION_BOUNDS: [[f32; FRICTION_COLUMNS]; COUNTS[2]] = {
-    let (mut bounds, mut next, mut k) = ([[0.0; FRICTION_COLUMNS]; COUNTS[2]], 0, 0);
+pub const DISSIPATION_BOUNDS: [[f32; FRICTION_COLUMNS]; COUNTS[1]] = {
+    let (mut bounds, mut next, mut k) = ([[0.0; FRICTION_COLUMNS]; COUNTS[1]], 0, 0);
     while k < FRICTION_COLUMNS {
         match FrictionColumn::ALL[k].properties().bound {
             FrictionBound::NotNegative => {
@@ -364,14 +350,15 @@ pub const DISSIPATION_BOUNDS: [[f32; FRICTION_COLUMNS]; COUNTS[2]] = {
 pub const fn friction_prior(limits: &JointLimits, cogging_cycles: f32) -> FrictionParameters {
     let (mut sigma, mut k) = (FrictionParameters::NONE, 0);
     while k < FRICTION_COLUMNS {
-        let column = FrictionColumn::ALL[k].properties();
-        if !column.cogging || cogging_cycles > 0.0 {
-            sigma.0[k] = column.prior.deviation(limits);
+        let column = FrictionColumn::ALL[k];
+        let cogging = matches!(
+            column,
+            FrictionColumn::CoggingSine | FrictionColumn::CoggingCosine
+        );
+        if !cogging || cogging_cycles > 0.0 {
+            sigma.0[k] = column.properties().prior.deviation(limits);
         }
         k += 1;
     }
     sigma
 }
-
-#[cfg(test)]
-mod tests;

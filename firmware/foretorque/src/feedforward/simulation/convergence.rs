@@ -63,10 +63,8 @@ fn curve(prior: Set, drive: Drive, seconds: u32) -> Vec<f64> {
 
 /// First second from which on `curve` stays below `bound`.
 fn below(curve: &[f64], bound: f64) -> usize {
-    curve
-        .iter()
-        .rposition(|&error| error >= bound)
-        .map_or(0, |last| last + 1)
+    let last = curve.iter().rposition(|&error| error >= bound);
+    last.map_or(0, |last| last + 1)
 }
 
 #[test]
@@ -168,10 +166,8 @@ fn the_torque_does_not_depend_on_how_late_the_learner_is_within_its_slack() {
         assert_eq!(torques[0], torques[2], "tick {tick}");
     }
     assert_ne!(*boards[0].active(), prior);
-    assert_eq!(
-        boards.map(|board| board.feedforward.state().late_sets),
-        [0; 3]
-    );
+    let late = boards.map(|board| board.feedforward.state().late_sets);
+    assert_eq!(late, [0; 3]);
 }
 
 #[test]
@@ -214,11 +210,8 @@ fn identified(seed: u64) -> Set {
     let mut dice = Dice(seed);
     let mut set = wrong_prior(1);
     set.rigid = Ur5::NOMINAL.into();
-    for (friction, (viscous, coulomb)) in set
-        .friction
-        .iter_mut()
-        .zip(VISCOUS.into_iter().zip(COULOMB))
-    {
+    let truth = VISCOUS.into_iter().zip(COULOMB);
+    for (friction, (viscous, coulomb)) in set.friction.iter_mut().zip(truth) {
         friction[FrictionColumn::Viscous] = viscous as f32;
         friction[FrictionColumn::Coulomb] = coulomb as f32;
     }

@@ -4,6 +4,7 @@
 //! width than the linear columns have, and cogging. Measured positions are rounded as a 17-bit encoder does; torque carries noise.
 
 use super::{FeedForward, FeedForwardConfig, ParameterSet, Torque, evaluate};
+use crate::Dice;
 use crate::arm::Arm;
 use crate::arm::ur5::Ur5;
 use crate::dynamics::{BaseParameters, FrictionColumn, FrictionParameters, rnea};
@@ -15,7 +16,6 @@ use std::collections::VecDeque;
 mod convergence;
 mod events;
 mod other_arms;
-mod rivals;
 
 const N: usize = 6;
 const P: usize = 40;
@@ -52,24 +52,6 @@ const UNDER_LOAD: Drive = Drive {
 };
 
 type Set = ParameterSet<N, P>;
-
-/// Seeded numbers uniform in ±1.
-struct Dice(u64);
-
-impl Dice {
-    fn roll(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-
-    /// Sum of twelve: variance 1 is four times a third.
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.roll()).sum::<f64>() * 0.5
-    }
-}
 
 /// A Fourier series of order five for each joint, scaled to 80 % of its speed limit and 2.8 rad.
 struct Fourier {

@@ -1,7 +1,7 @@
 //! Learning on a 7-joint arm that the learner was not tuned on: motor currents or link-side torque sensors, disturbances that
 //! last for tenths of a second.
 
-use super::Dice;
+use crate::Dice;
 use crate::arm::Arm;
 use crate::arm::panda::{JOINTS as N, PARAMETERS as P, Panda};
 use crate::dynamics::{FrictionColumn, FrictionParameters};

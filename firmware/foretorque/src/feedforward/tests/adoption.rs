@@ -16,11 +16,8 @@ fn a_set_is_adopted_at_the_middle_of_the_next_round_and_at_no_other_tick() {
         tick.adopt(&mut exchange);
         let torque = tick.step(&sample(motion(0.0)));
         let due = count >= 9 && count % 6 == 3;
-        assert_eq!(
-            torque.flags.contains(Flags::SET_ADOPTED),
-            due,
-            "tick {count}"
-        );
+        let adopted = torque.flags.contains(Flags::SET_ADOPTED);
+        assert_eq!(adopted, due, "tick {count}");
         assert_eq!(tick.state().active == learnt, count >= 9, "tick {count}");
         if count % 6 == 5 {
             exchange.published = Some(finished(count, learnt));
@@ -61,10 +58,8 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     let mut loaded = set();
     loaded.friction[1][FrictionColumn::Coulomb] = 4.0;
     tick.load(loaded, &mut exchange);
-    assert_eq!(
-        (tick.state().active, tick.state().committed),
-        (loaded, loaded)
-    );
+    let state = tick.state();
+    assert_eq!((state.active, state.committed), (loaded, loaded));
     assert_eq!(exchange.reload, Some((1, loaded, StartDeviations::PRIOR)));
     // The learner was still busy with a learning sample from before the load.
     exchange.published = Some(finished(5, set()));

@@ -39,10 +39,8 @@ impl Violation {
         own: &[f32; FRICTION_COLUMNS],
         sigma: &[f32; FRICTION_COLUMNS],
     ) -> Option<Self> {
-        if DISSIPATION_BOUNDS
-            .iter()
-            .all(|bound| dot(bound, own) >= 0.0)
-        {
+        let mut bounds = DISSIPATION_BOUNDS.iter();
+        if bounds.all(|bound| dot(bound, own) >= 0.0) {
             return None;
         }
         let mut all = Self {
@@ -52,10 +50,9 @@ impl Violation {
         let mut violated = false;
         for (direction, value) in all.directions.iter_mut().zip(&mut all.values) {
             let unscaled = dot(direction, own);
-            direction
-                .iter_mut()
-                .zip(sigma)
-                .for_each(|(a, sigma)| *a *= sigma);
+            for (a, sigma) in direction.iter_mut().zip(sigma) {
+                *a *= sigma;
+            }
             let inverse = 1.0 / sqrt(dot(direction, direction));
             // Infinite where no column of the bound is learnt: these stay.
             let scale = if inverse.is_finite() { inverse } else { 0.0 };
@@ -82,10 +79,9 @@ impl Violation {
         for (row, a) in products.iter_mut().zip(&self.directions) {
             let mut image = [0.0; FRICTION_COLUMNS];
             for (p, &a) in covariance.iter().zip(a).filter(|(_, a)| **a != 0.0) {
-                image
-                    .iter_mut()
-                    .zip(p)
-                    .for_each(|(image, p)| *image += a * p);
+                for (image, p) in image.iter_mut().zip(p) {
+                    *image += a * p;
+                }
             }
             for (product, b) in row.iter_mut().zip(&self.directions) {
                 *product = dot(&image, b);
@@ -111,9 +107,9 @@ impl Violation {
         }
         let mut sum = [0.0; FRICTION_COLUMNS];
         for (a, lambda) in self.directions.iter().zip(lambda) {
-            sum.iter_mut()
-                .zip(a)
-                .for_each(|(sum, a)| *sum += lambda * a);
+            for (sum, a) in sum.iter_mut().zip(a) {
+                *sum += lambda * a;
+            }
         }
         sum
     }

@@ -1,5 +1,6 @@
-use super::variance::EFFECTIVE_ROWS;
+use super::noise::EFFECTIVE_ROWS;
 use super::*;
+use crate::Dice;
 use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use crate::dynamics::DISSIPATION_BOUNDS;
 use crate::dynamics::{FrictionColumn, FrictionParameters};
@@ -80,12 +81,8 @@ impl Twin {
             }
             let deviation = dot(&direction, &direction).sqrt();
             direction.iter_mut().for_each(|a| *a /= deviation);
-            images.push(
-                self.p
-                    .iter()
-                    .map(|row| dot(row, &direction))
-                    .collect::<Vec<f64>>(),
-            );
+            let image: Vec<f64> = self.p.iter().map(|row| dot(row, &direction)).collect();
+            images.push(image);
             directions.push(direction);
             values.push(value / deviation);
         }
@@ -106,10 +103,9 @@ impl Twin {
             }
         }
         for (lambda, image) in lambda.iter().zip(&images) {
-            self.theta
-                .iter_mut()
-                .zip(image)
-                .for_each(|(theta, p)| *theta += lambda * p);
+            for (theta, p) in self.theta.iter_mut().zip(image) {
+                *theta += lambda * p;
+            }
         }
     }
 }
@@ -161,7 +157,7 @@ fn the_initial_covariance_is_that_of_the_prior_factors() {
 }
 
 /// Row and noisy torque of an arm 10 % heavier than its description, on sines without common period, at most 2 rad/s.
-fn row_and_torque(tick: u32, joint: usize, random: &mut u64) -> (LinearParameters<N, P>, f32) {
+fn row_and_torque(tick: u32, joint: usize, dice: &mut Dice) -> (LinearParameters<N, P>, f32) {
     let t = f64::from(tick) * 1e-3;
     let wave = |j: usize| {
         let w = 1.1 + 0.37 * j as f64;
@@ -177,16 +173,8 @@ fn row_and_torque(tick: u32, joint: usize, random: &mut u64) -> (LinearParameter
     truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
     let row = torque_row::<Ur5, N, P>(joint, &ConditionedSample { motion, tau });
     truth.friction = [friction_truth().0; N];
-    let noise: f64 = (0..12)
-        .map(|_| {
-            *random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            (*random >> 11) as f64 / (1u64 << 53) as f64 - 0.5
-        })
-        .sum();
     // The torque of a row is a mean.
-    let noise = 0.01 * noise / (AVERAGED as f64).sqrt();
+    let noise = 0.01 * dice.normal() / (AVERAGED as f64).sqrt();
     tau[joint] = row.dot(&truth) + noise as f32 * Ur5::LIMITS[joint].torque;
     (row, tau[joint])
 }
@@ -208,11 +196,11 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
         effective_rows: [f64::from(FIRST_ROWS); N],
         visits: [0; N],
     };
-    let (mut worst, mut random) = (0.0f64, 7);
+    let (mut worst, mut dice) = (0.0f64, Dice(7));
     for tick in 0..100_000 {
         let joint = tick as usize % N;
         let limit = Ur5::LIMITS[joint].torque;
-        let (row, tau) = row_and_torque(tick, joint, &mut random);
+        let (row, tau) = row_and_torque(tick, joint, &mut dice);
         let factor = f64::from(config.noise_inflation);
         let before = estimator.correct(&config, joint, limit, &row, tau);
         assert!(before.is_some());
@@ -225,13 +213,8 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
             innovation -= row * (f64::from(start) + sigma * theta);
             phi.push(row * sigma / unit);
         }
-        twin.correct(
-            joint,
-            &phi,
-            innovation / unit,
-            f64::from(config.process_noise),
-            factor,
-        );
+        let noise = f64::from(config.process_noise);
+        twin.correct(joint, &phi, innovation / unit, noise, factor);
         if tick % 1000 == 999 {
             let numbers = estimator.parameters().iter().zip(start.iter());
             for (((&theta, &start), &sigma), twin) in numbers.zip(sigma.iter()).zip(&twin.theta) {
@@ -250,10 +233,10 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
 fn friction_prediction_variance_is_that_of_a_friction_row() {
     let mut filter = UdFilter::<N, P>::new();
     let mut gain = LinearParameters::filled(0.0);
-    let mut random = 3;
+    let mut dice = Dice(3);
     for tick in 0..600 {
         let joint = tick as usize % N;
-        let (row, _) = row_and_torque(tick, joint, &mut random);
+        let (row, _) = row_and_torque(tick, joint, &mut dice);
         filter.update(joint, &row, 1.0, &mut gain);
     }
     for joint in 0..N {
@@ -262,10 +245,8 @@ fn friction_prediction_variance_is_that_of_a_friction_row() {
         let predicted = filter.friction_prediction_variance(joint, &phi.friction[joint]);
         let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
         assert!(predicted > 1e-3, "{joint}: {predicted}");
-        assert!(
-            (variance - 1.0 - predicted).abs() < 1e-4 * variance,
-            "{joint}: {predicted} {variance}"
-        );
+        let error = (variance - 1.0 - predicted).abs();
+        assert!(error < 1e-4 * variance, "{joint}: {predicted}");
     }
 }
 
@@ -274,18 +255,14 @@ fn friction_prediction_variance_is_that_of_a_friction_row() {
 fn frictionless(
     tick: u32,
     joint: usize,
-    random: &mut u64,
+    dice: &mut Dice,
     drift: &mut f32,
 ) -> (LinearParameters<N, P>, f32) {
-    let (row, _) = row_and_torque(tick, joint, random);
+    let (row, _) = row_and_torque(tick, joint, dice);
     let rigid = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1))
         .rigid
         .map(|theta| 1.1 * theta);
-    *random = random
-        .wrapping_mul(6_364_136_223_846_793_005)
-        .wrapping_add(1);
-    let white = (*random >> 40) as f32 / (1 << 23) as f32 - 1.0;
-    *drift = 0.98 * *drift + 0.02 * 6.0 * white;
+    *drift = 0.98 * *drift + 0.02 * 6.0 * dice.roll() as f32;
     let tau = dot(&row.rigid, &rigid) + 0.02 * *drift * Ur5::LIMITS[joint].torque;
     (row, tau)
 }
@@ -298,17 +275,14 @@ fn friction_at_its_bound_leaves_correlated_columns_in_place() {
         let prior = ParameterSet::nominal::<Ur5>(1);
         let sigma = config.sigma;
         let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
-        let (mut random, mut drifts) = (5, [0.0; N]);
+        let (mut dice, mut drifts) = (Dice(5), [0.0; N]);
         let mut worst = 0.0f32;
         for tick in 0..240_000 {
             let joint = tick as usize % N;
             let limit = Ur5::LIMITS[joint].torque;
-            let (row, tau) = frictionless(tick, joint, &mut random, &mut drifts[joint]);
-            assert!(
-                estimator
-                    .correct(&config, joint, limit, &row, tau)
-                    .is_some()
-            );
+            let (row, tau) = frictionless(tick, joint, &mut dice, &mut drifts[joint]);
+            let correction = estimator.correct(&config, joint, limit, &row, tau);
+            assert!(correction.is_some());
             let friction = estimator.parameters().friction[joint];
             for bound in &DISSIPATION_BOUNDS {
                 let violation =
@@ -334,20 +308,17 @@ fn process_noise_is_that_of_the_friction_and_constant_for_the_offset() {
     // Growth of the variances of Coulomb friction and offset of joint 0 in 500 rows of zeros, over the process noise.
     let growth = |friction: FrictionParameters| {
         let mut estimator = Estimator::<N, P>::new::<Ur5>(&ParameterSet::nominal::<Ur5>(1));
-        let mut random = 5;
+        let mut dice = Dice(5);
         for tick in (0..60_000).step_by(N) {
-            let (row, tau) = row_and_torque(tick, 0, &mut random);
+            let (row, tau) = row_and_torque(tick, 0, &mut dice);
             let tau = tau + dot(&row.friction[0], &friction.0)
                 - dot(&row.friction[0], &friction_truth().0);
             assert!(estimator.correct(&config, 0, limit, &row, tau).is_some());
         }
         let variances = |estimator: &Estimator<N, P>| {
-            [FrictionColumn::Coulomb, FrictionColumn::Offset].map(|column| {
-                estimator
-                    .filter()
-                    .friction_variance(0, column as usize)
-                    .unwrap()
-            })
+            let variance = |column| estimator.filter().friction_variance(0, column as usize);
+            [FrictionColumn::Coulomb, FrictionColumn::Offset]
+                .map(|column| variance(column).unwrap())
         };
         let before = variances(&estimator);
         let config = LearnerConfig {
@@ -356,11 +327,8 @@ fn process_noise_is_that_of_the_friction_and_constant_for_the_offset() {
         };
         let nothing = LinearParameters::filled(0.0);
         for _ in 0..500 {
-            assert!(
-                estimator
-                    .correct(&config, 0, limit, &nothing, 0.0)
-                    .is_some()
-            );
+            let correction = estimator.correct(&config, 0, limit, &nothing, 0.0);
+            assert!(correction.is_some());
         }
         let after = variances(&estimator);
         from_fn::<f32, 2, _>(|k| (after[k] - before[k]) / (500.0 * config.process_noise))

@@ -3,18 +3,18 @@ mod row;
 mod transitions;
 
 use crate::arm::Arm;
+use crate::learning::ConfigError;
 use crate::learning::conditioning::MeasurementWindow;
 use crate::learning::config::LearnerConfig;
 use crate::learning::decision::{Decision, Reason};
-use crate::learning::error::ConfigError;
 use crate::learning::estimator::Estimator;
 use crate::learning::exchange::{
     Exchange, LearnerReport, LearningSample, MotionRange, Publication,
 };
+use crate::learning::parameters::StartDeviations;
 use crate::learning::parameters::{JointNetwork, LinearParameters, ParameterSet};
 use crate::learning::quality::{ModelQuality, Monitor, Phase};
 use crate::learning::shares::LearntShare;
-use crate::learning::start_deviations::StartDeviations;
 use crate::learning::supervisor::{Learnt, Supervisor};
 use crate::learning::trainer::NetworkTrainer;
 use core::marker::PhantomData;

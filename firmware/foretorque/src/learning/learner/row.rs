@@ -11,7 +11,7 @@ use crate::learning::estimator::torque_row_at;
 use crate::learning::exchange::MotionRange;
 use crate::learning::parameters::{JointEntries, NETWORK_BOUND, dot, network_output};
 use crate::learning::quality::Observation;
-use crate::learning::supervisor::Checkpoint;
+
 use crate::learning::trainer::{NetworkDecision, NetworkRow};
 use crate::limits::cut;
 use crate::math::sqrt;
@@ -145,14 +145,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let payload = row.payload * inv_limit;
         let benefit = &mut state.supervisor.payload_benefit;
         benefit.add_row(payload, residual - network + payload);
-        state.monitor.add_row(
-            joint,
-            &Observation {
-                measured: row.tau * inv_limit,
-                residual: residual - network,
-                shares: [rigid * inv_limit, friction * inv_limit, network],
-            },
-        );
+        let observation = Observation {
+            measured: row.tau * inv_limit,
+            residual: residual - network,
+            shares: [rigid * inv_limit, friction * inv_limit, network],
+        };
+        state.monitor.add_row(joint, &observation);
         if !state.phase().learns() {
             return RowOutcome::Frozen;
         }
@@ -187,12 +185,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             *slot = correction.variance;
         }
         let loaded = columns.friction_dot(joint, &state.supervisor.loaded) + row.loaded;
-        let [
-            _,
-            Checkpoint {
-                estimate: older, ..
-            },
-        ] = &state.supervisor.checkpoints;
+        let older = &state.supervisor.checkpoints[1].estimate;
         let older = columns.friction_dot(joint, older) + columns.rigid_dot(older);
         let torques = [tau, loaded, tau - older];
         let torques = torques.map(|torque| torque * inv_limit);
@@ -207,10 +200,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Train the network candidate of `joint`, and record a promotion or silencing.
     fn train_network(&mut self, tick: u32, joint: usize, row: &NetworkRow) {
         let state = &mut self.state;
-        if !state
-            .supervisor
-            .trains_network(&self.config.supervisor, joint)
-        {
+        let config = &self.config.supervisor;
+        if !state.supervisor.trains_network(config, joint) {
             return;
         }
         let Some(active) = state.active.network.get_mut(joint) else {
@@ -227,9 +218,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             None => {}
         }
     }
-}
 
-impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Share of the estimate in the torque of every joint by the evidence.
     #[inline(never)]
     pub(super) fn shares(&self) -> [f32; N] {

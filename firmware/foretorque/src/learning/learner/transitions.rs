@@ -12,7 +12,7 @@ use crate::learning::payload::{NO_PAYLOAD, payload_estimate};
 use crate::learning::quality::{PayloadEstimate, Phase};
 use crate::learning::supervisor::Checkpoint;
 use crate::learning::supervisor::payload_test::{PayloadBenefit, PayloadDecision};
-use crate::learning::supervisor::step::{Action, Evidence, step};
+use crate::learning::supervisor::step::{Action, Evidence, Round, step};
 use crate::limits::Flags;
 
 /// Rounds between two updates of trust.
@@ -98,7 +98,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 }
                 state.restore();
                 let supervisor = &mut state.supervisor;
-                supervisor.payload_filter = *supervisor.payload_test.filter();
+                supervisor.payload_filter = supervisor.payload_test.filter;
                 let payload = supervisor.payload_filter.payload();
                 supervisor.set_payload::<A>(&payload);
                 supervisor.blocks_carried = 0;
@@ -140,9 +140,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     pub(super) fn end_payload_test(&mut self, tick: u32, decision: PayloadDecision) {
         let supervisor = &self.state.supervisor;
         let test = &supervisor.payload_test;
-        let ticks = test.blocks() as f32 * self.config.supervisor.block_ticks as f32;
+        let ticks = test.blocks as f32 * self.config.supervisor.block_ticks as f32;
         let mass = match decision {
-            PayloadDecision::Promote => test.filter().payload()[0],
+            PayloadDecision::Promote => test.filter.payload()[0],
             _ => supervisor.payload[0],
         };
         let evidence = Evidence::Payload {
@@ -177,12 +177,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             let learnt = &supervisor.learnt.evidence;
             // In the first moments, friction that the loaded set lacks may oppose its torques.
             let known = learnt.rows() >= self.config.supervisor.training_rows;
-            let evidence = Evidence::Round {
+            let evidence = Evidence::Round(Round {
                 ticks: N as u32,
                 share: learnt.common(&shares),
                 reversed: known && learnt.is_reversed(),
                 carries_payload: supervisor.carries_payload,
-            };
+            });
             self.decide_on(tick, None, evidence);
         }
         let state = &mut self.state;
@@ -313,23 +313,19 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         } else {
             PayloadEstimate::default()
         };
-        self.monitor
-            .update_information(self.estimate.filter(), quality);
+        let monitor = &mut self.monitor;
+        monitor.update_information(self.estimate.filter(), quality);
         let round = tick / N as u32;
         if !round.is_multiple_of(TRUST_ROUNDS) {
             return;
         }
-        if let Some(lost) =
-            self.monitor
-                .update_trust(quality, config.supervisor.trust_floor, config.noise)
-        {
-            let reason = if lost {
-                Reason::TrustLost
-            } else {
-                Reason::TrustRegained
-            };
-            let trust = quality.trust;
-            self.record(tick, reason, None, trust);
-        }
+        let floor = config.supervisor.trust_floor;
+        let reason = match monitor.update_trust(quality, floor, config.noise) {
+            Some(true) => Reason::TrustLost,
+            Some(false) => Reason::TrustRegained,
+            None => return,
+        };
+        let trust = quality.trust;
+        self.record(tick, reason, None, trust);
     }
 }

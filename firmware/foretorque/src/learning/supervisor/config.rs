@@ -1,7 +1,7 @@
 use crate::arm::Arm;
 use crate::learning::change_detection::DetectorConfig;
-use crate::learning::error::{ConfigError, check_positive};
 use crate::learning::payload::{MAX_COM_DISTANCE, Payload, rated_payload};
+use crate::learning::{ConfigError, check_positive};
 
 /// Thresholds of the learning supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,11 +63,7 @@ impl SupervisorConfig {
         let shortest = N as u32 + 1;
         let rated = rated_payload::<A, N, P>();
         Self {
-            block_ticks: if block_ticks > shortest {
-                block_ticks
-            } else {
-                shortest
-            },
+            block_ticks: block_ticks.max(shortest),
             detector: DetectorConfig {
                 clip: 9.5,
                 drift: 3.2,
@@ -109,7 +105,7 @@ impl SupervisorConfig {
     ///
     /// Errors: the first field that is not positive and finite.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        check_positive([
+        check_positive(&[
             ("supervisor.detector.clip", self.detector.clip),
             ("supervisor.detector.drift", self.detector.drift),
             ("supervisor.detector.threshold", self.detector.threshold),

@@ -167,7 +167,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
     /// would keep their information.
     pub(super) fn pauses_estimate(&self, config: &SupervisorConfig) -> bool {
         self.carries_payload && self.blocks_carried < config.pause_blocks
-            || self.payload_test.is_undecided()
+            || self.payload_test.undecided
     }
 
     /// Discard incomplete blocks.

@@ -51,13 +51,17 @@ pub(crate) enum Evidence {
         snapshot: bool,
     },
     /// Close of a round in which every joint was learnt or stood still.
-    Round {
-        ticks: u32,
-        /// Common share by the evidence.
-        share: f32,
-        reversed: bool,
-        carries_payload: bool,
-    },
+    Round(Round),
+}
+
+/// Closed round of so many ticks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Round {
+    pub(crate) ticks: u32,
+    /// Common share by the evidence.
+    pub(crate) share: f32,
+    pub(crate) reversed: bool,
+    pub(crate) carries_payload: bool,
 }
 
 /// Consequence of a decision, for the learner to carry out.
@@ -152,24 +156,16 @@ pub(crate) fn step(
             }
             Request::Stop => to(Phase::Stopped, Action::Restore, Reason::FrozenStopped, 0.0),
         },
-        (Phase::Relearning, Evidence::Round { ticks, share, .. }) => {
-            state.relearning_ticks = state.relearning_ticks.saturating_sub(ticks);
+        (Phase::Relearning, Evidence::Round(round)) => {
+            state.relearning_ticks = state.relearning_ticks.saturating_sub(round.ticks);
             if state.relearning_ticks == 0 {
                 state.phase = Phase::Healthy;
-                (Action::Resume, Some((Reason::RelearningEnded, share)))
+                (Action::Resume, Some((Reason::RelearningEnded, round.share)))
             } else {
                 (Action::None, None)
             }
         }
-        (
-            Phase::Healthy,
-            Evidence::Round {
-                ticks,
-                share,
-                reversed,
-                carries_payload,
-            },
-        ) => follow(config, &mut state, ticks, share, reversed, carries_payload),
+        (Phase::Healthy, Evidence::Round(round)) => follow(config, &mut state, &round),
         _ => (Action::None, None),
     };
     Transition {
@@ -183,21 +179,18 @@ pub(crate) fn step(
 fn follow(
     config: &SupervisorConfig,
     state: &mut SupervisorState,
-    ticks: u32,
-    share: f32,
-    reversed: bool,
-    carries_payload: bool,
+    round: &Round,
 ) -> (Action, Option<(Reason, f32)>) {
-    let before = *state;
-    state.reversed = reversed;
+    let (before, share) = (*state, round.share);
+    state.reversed = round.reversed;
     let (begin, end) = config.following_share;
     state.following = share > if before.following { end } else { begin };
     if !state.following {
         // The first commit comes early: the bound on learnt change is centred at the loaded set.
         state.commit_in = config.commit_ticks / 4;
     }
-    state.commit_in = state.commit_in.saturating_sub(ticks);
-    let commit = state.following && state.commit_in == 0 && !carries_payload;
+    state.commit_in = state.commit_in.saturating_sub(round.ticks);
+    let commit = state.following && state.commit_in == 0 && !round.carries_payload;
     if commit {
         state.commit_in = config.commit_ticks;
     }
@@ -211,4 +204,156 @@ fn follow(
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::arm::ur5::{LearnerConfig, Ur5};
+
+    fn config() -> SupervisorConfig {
+        LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
+    }
+
+    /// Phase, action, and reason with its figure after `evidence` in `phase`.
+    fn after(phase: Phase, evidence: Evidence) -> (Phase, Action, Option<(Reason, f32)>) {
+        let before = SupervisorState {
+            phase,
+            ..SupervisorState::START
+        };
+        let next = step(&config(), &before, evidence);
+        (next.state.phase, next.action, next.reason)
+    }
+
+    fn payload(decision: PayloadDecision) -> Evidence {
+        Evidence::Payload {
+            decision,
+            mass: 2.0,
+            seconds: 0.1,
+        }
+    }
+
+    fn request(request: Request, snapshot: bool) -> Evidence {
+        Evidence::Request {
+            request,
+            mass: 2.0,
+            snapshot,
+        }
+    }
+
+    fn round(share: f32, reversed: bool, carries_payload: bool) -> Evidence {
+        Evidence::Round(Round {
+            ticks: 6,
+            share,
+            reversed,
+            carries_payload,
+        })
+    }
+
+    #[test]
+    fn every_event_has_its_transition() {
+        use PayloadDecision::{Promote, Refuse, Release, Transient};
+        use Phase::{Healthy, PayloadTest, Relearning, Stopped};
+        use Request::{Commit, Rollback, Snapshot, ZeroPayload};
+        let refuse = Refuse(Reason::Uncertain, 0.4);
+        let to_snapshot = request(Rollback, true);
+        let without = |what| request(what, false);
+        // Phase, event; next phase, action, reason with its figure.
+        for (phase, evidence, wanted) in [
+            (
+                Healthy,
+                Evidence::Change(26.0),
+                "PayloadTest TestPayload Alarm 26",
+            ),
+            (PayloadTest, payload(Promote), "Healthy Promote Promoted 2"),
+            (Healthy, payload(Promote), "Healthy Promote Promoted 2"),
+            (PayloadTest, payload(Release), "Healthy Release Released 2"),
+            (
+                PayloadTest,
+                payload(Transient),
+                "Healthy Resume Transient 0.1",
+            ),
+            (
+                PayloadTest,
+                payload(refuse),
+                "Relearning Relearn Uncertain 0.4",
+            ),
+            (Stopped, Evidence::Off, "Healthy None Resumed 0"),
+            (Relearning, to_snapshot, "Healthy Rollback RolledBack 0"),
+            (
+                Relearning,
+                without(Rollback),
+                "Relearning None RequestRefused 2",
+            ),
+            (
+                PayloadTest,
+                without(ZeroPayload),
+                "Healthy Release PayloadZeroed 2",
+            ),
+            (Healthy, without(Commit), "Healthy Commit Committed 0"),
+            (
+                Healthy,
+                without(Snapshot),
+                "Healthy Snapshot SnapshotTaken 0",
+            ),
+        ] {
+            let (next, action, reason) = after(phase, evidence);
+            let (reason, figure) = reason.expect("a reason");
+            let decided = std::format!("{next:?} {action:?} {reason:?} {figure}");
+            assert_eq!(decided, wanted, "{phase:?} {evidence:?}");
+        }
+        for phase in [Healthy, PayloadTest, Relearning, Stopped] {
+            let stopped = (Stopped, Action::Restore, Some((Reason::FrozenStopped, 0.0)));
+            assert_eq!(after(phase, request(Request::Stop, true)), stopped);
+        }
+        for (phase, evidence) in [
+            (Stopped, Evidence::Change(26.0)),
+            (Relearning, Evidence::Change(26.0)),
+            (Stopped, round(1.0, false, false)),
+            (PayloadTest, round(1.0, false, false)),
+            (Healthy, Evidence::Off),
+        ] {
+            let nothing = (phase, Action::None, None);
+            assert_eq!(after(phase, evidence), nothing, "{evidence:?}");
+        }
+    }
+
+    #[test]
+    fn following_begins_and_ends_with_hysteresis_and_commits_in_turn() {
+        let mut state = SupervisorState::START;
+        let mut reasons = std::vec::Vec::new();
+        let mut commits = std::vec::Vec::new();
+        for tick in (0..20_004).step_by(6) {
+            let share = if tick < 600 { 0.4 } else { 0.9 };
+            let next = step(&config(), &state, round(share, false, tick < 1200));
+            state = next.state;
+            reasons.extend(next.reason.map(|(reason, _)| reason));
+            if next.action == (Action::Follow { commit: true }) {
+                commits.push(tick);
+            }
+        }
+        assert_eq!(commits, [2592, 10_596, 18_600]);
+        for (share, reversed) in [(0.3, false), (0.2, false), (0.4, false), (0.0, true)] {
+            let next = step(&config(), &state, round(share, reversed, false));
+            state = next.state;
+            reasons.extend(next.reason.map(|(reason, _)| reason));
+        }
+        let wanted = [Reason::Followed, Reason::RolledBack, Reason::Reversed];
+        assert_eq!(reasons, wanted);
+    }
+
+    #[test]
+    fn relearning_ends_with_its_time() {
+        let mut state = SupervisorState::START;
+        state.phase = Phase::PayloadTest;
+        let refusal = payload(PayloadDecision::Refuse(Reason::Residual, 0.9));
+        state = step(&config(), &state, refusal).state;
+        let mut rounds = 0;
+        while state.phase == Phase::Relearning {
+            let next = step(&config(), &state, round(0.5, false, false));
+            let over = next.state.phase == Phase::Healthy;
+            let action = if over { Action::Resume } else { Action::None };
+            assert_eq!(next.action, action);
+            state = next.state;
+            rounds += 1;
+        }
+        assert_eq!(rounds, 834);
+    }
+}

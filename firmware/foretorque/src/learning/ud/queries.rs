@@ -72,11 +72,10 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         else {
             return covariance;
         };
-        for (i, row) in rows
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| chosen.get(*i) == Some(&true))
-        {
+        for (i, row) in rows.iter().enumerate() {
+            if chosen.get(i) != Some(&true) {
+                continue;
+            }
             let mut scaled = *row;
             set(&mut scaled.own, i, 1.0);
             scale(&mut scaled.own, diagonal);
@@ -84,11 +83,8 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
             for (k, other) in rows.iter().enumerate().take(i + 1) {
                 if chosen.get(k) == Some(&true) {
                     // The unit diagonal is not stored.
-                    let unit = if k == i {
-                        scaled.own.get(i).copied().unwrap_or(0.0)
-                    } else {
-                        0.0
-                    };
+                    let unit = scaled.own.get(i).filter(|_| k == i);
+                    let unit = unit.copied().unwrap_or(0.0);
                     let product =
                         unit + dot(&scaled.own, &other.own) + dot(&scaled.rigid, &other.rigid);
                     for (row, column) in [(i, k), (k, i)] {

@@ -140,7 +140,9 @@ impl ColumnUpdates<'_> {
                 each_row!(K < D {
                     let u = rows.get_mut(K).and_then(|row| part(row).get_mut(j));
                     if let (Some(u), Some(b)) = (u, sums.get_mut(K)) {
-                        update_entry(u, b, *lambda, *v);
+                        let before = *u;
+                        *u = before + lambda * *b;
+                        *b += v * before;
                     }
                 });
                 set(&mut sums, D, *v);
@@ -170,14 +172,6 @@ pub(super) fn add_rows<R, const W: usize>(
             });
         }
     });
-}
-
-/// Update of one entry of U and of the running sum of its row.
-#[inline(always)]
-fn update_entry(u: &mut f32, b: &mut f32, lambda: f32, v: f32) {
-    let before = *u;
-    *u = before + lambda * *b;
-    *b += v * before;
 }
 
 /// Update of the entries of one column, at `place` of all rows, with their rounding errors carried in `compensation`.

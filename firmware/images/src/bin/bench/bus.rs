@@ -55,11 +55,8 @@ impl Bus {
         let frame = |joint: &BusJoint, command| {
             let mut frames = Frames::new();
             if command {
-                let _ = joint.drive.command(
-                    &JointCommand::default(),
-                    &mut Carry::default(),
-                    &mut frames,
-                );
+                let (command, mut carry) = (JointCommand::default(), Carry::default());
+                let _ = joint.drive.command(&command, &mut carry, &mut frames);
             } else {
                 joint.drive.reply(&JointReply::default(), &mut frames);
             }

@@ -100,13 +100,9 @@ impl Link {
     pub(crate) fn run(&mut self) {
         self.session
             .poll_parameters(&mut self.mailboxes, &mut self.out);
-        let frame = self.frame.as_bytes();
-        self.session.receive(
-            frame,
-            &mut self.mailboxes,
-            &mut self.out,
-            &mut NoLocalSensor,
-        );
+        let (frame, out) = (self.frame.as_bytes(), &mut self.out);
+        self.session
+            .receive(frame, &mut self.mailboxes, out, &mut NoLocalSensor);
     }
 }
 

@@ -164,11 +164,7 @@ impl Stage {
             self.motion.qd[joint] = random.within(limits.velocity);
             self.motion.qdd[joint] = random.within(10.0);
         }
-        let Self {
-            motion,
-            calibrated_motion: copy,
-            ..
-        } = self;
+        let (motion, copy) = (&self.motion, &mut self.calibrated_motion);
         for joint in 0..JOINTS.min(ur5_calibrated::JOINTS) {
             copy.q[joint] = motion.q[joint];
             copy.qd[joint] = motion.qd[joint];

@@ -1,0 +1,327 @@
+//! The C interface, called as C calls it: memory uninitialised, flags of any value. The C program in the emulator gives the
+//! bits of the library in this process, and the committed header is the one that the source gives.
+//!
+//! `cargo xtask test` builds the C program first, `cargo xtask capi` does so alone.
+
+use foretorque_capi::*;
+use foretorque_link::safety::{SafetyReason, SafetyState};
+use std::fs;
+use std::mem::MaybeUninit;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::ptr;
+
+const TICKS: u32 = 300;
+/// Seconds after which the emulator is stopped; it needs less than one.
+const PATIENCE: &str = "60";
+
+/// An arm in the memory of a C program.
+struct Program {
+    it: *mut Foretorque,
+    _memory: Vec<MaybeUninit<u64>>,
+}
+
+impl Program {
+    fn new() -> Self {
+        let mut memory = vec![MaybeUninit::uninit(); foretorque_size().div_ceil(8)];
+        let mut it = ptr::null_mut();
+        // SAFETY: the memory is large enough, aligned and outlives the program.
+        let made = unsafe {
+            foretorque_init(
+                memory.as_mut_ptr().cast(),
+                8 * memory.len(),
+                1e-3,
+                &raw mut it,
+            )
+        };
+        assert_eq!(made, ForetorqueStatus::Ok);
+        Self {
+            it,
+            _memory: memory,
+        }
+    }
+
+    /// One tick with a still sample, or with none.
+    fn tick(&mut self, q: Option<f32>, measured: u8) -> ForetorqueTorque {
+        let mut sample = MaybeUninit::<ForetorqueSample>::uninit();
+        let place = sample.as_mut_ptr();
+        let mut out = MaybeUninit::uninit();
+        // SAFETY: fields are written before they are read; measured ones only where they are to be.
+        unsafe {
+            let q_rad = [q.unwrap_or_default(); FORETORQUE_JOINTS];
+            (&raw mut (*place).q_rad).write(q_rad);
+            (&raw mut (*place).qd_rad_s).write([0.0; FORETORQUE_JOINTS]);
+            (&raw mut (*place).qdd_rad_s2).write([0.0; FORETORQUE_JOINTS]);
+            (&raw mut (*place).measured).write(measured);
+            if measured != 0 {
+                (&raw mut (*place).measured_q_rad).write(q_rad);
+                (&raw mut (*place).measured_tau_nm).write([0.0; FORETORQUE_JOINTS]);
+            }
+            let given = if q.is_some() {
+                place.cast_const()
+            } else {
+                ptr::null()
+            };
+            let status = foretorque_tick(self.it, given, out.as_mut_ptr());
+            assert_eq!(status, ForetorqueStatus::Ok);
+            out.assume_init()
+        }
+    }
+
+    fn arm(&mut self) -> SafetyReason {
+        let mut reason = 255;
+        // SAFETY: both pointers are those of variables.
+        let status = unsafe { foretorque_arm(self.it, &raw mut reason) };
+        assert_eq!(status == ForetorqueStatus::Ok, reason == 0);
+        SafetyReason::from_code(reason)
+    }
+
+    /// Output of `call`.
+    fn written<T>(
+        &self,
+        call: unsafe extern "C" fn(*mut Foretorque, *mut T) -> ForetorqueStatus,
+    ) -> T {
+        let mut out = MaybeUninit::uninit();
+        // SAFETY: written before it is read.
+        unsafe {
+            assert_eq!(call(self.it, out.as_mut_ptr()), ForetorqueStatus::Ok);
+            out.assume_init()
+        }
+    }
+
+    fn safety(&self) -> ForetorqueSafety {
+        self.written(foretorque_safety)
+    }
+
+    fn armed() -> Self {
+        let mut program = Self::new();
+        (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
+        assert_eq!(program.arm(), SafetyReason::None);
+        (0..40).for_each(|_| _ = program.tick(Some(0.0), 255));
+        program
+    }
+}
+
+#[test]
+fn torque_needs_fresh_samples_and_arming() {
+    let mut program = Program::new();
+    assert_eq!(program.arm(), SafetyReason::NoSample);
+    for _ in 0..10 {
+        // Not measured, so nothing to arm on.
+        assert_eq!(program.tick(Some(0.0), 0).total_nm, [0.0; 6]);
+    }
+    assert_eq!(program.arm(), SafetyReason::NoSample);
+    let mut program = Program::armed();
+    let shoulder = program.tick(Some(0.0), 1).total_nm[1];
+    assert!(shoulder.abs() > 30.0, "{shoulder}");
+    let safety = program.safety();
+    assert_eq!(safety.state, SafetyState::Armed as u8);
+    assert_eq!(safety.enabled, 1);
+    // SAFETY: `it` lives.
+    let status = unsafe { foretorque_load_bank(program.it, [0].as_ptr(), 1) };
+    assert_eq!(status, ForetorqueStatus::Armed);
+}
+
+#[test]
+fn a_time_out_ramps_within_the_limits_and_only_arming_brings_torque_back() {
+    let mut program = Program::armed();
+    let limits = program.written(foretorque_limits);
+    assert_eq!((limits.timeout_ticks, limits.measurement_ticks), (51, 101));
+    let mut before = program.tick(Some(0.0), 1).total_nm;
+    for k in 1..=60 {
+        let now = program.tick(None, 0).total_nm;
+        for joint in 0..FORETORQUE_JOINTS {
+            let step = (now[joint] - before[joint]).abs();
+            assert!(step <= 1.0001 * limits.slew_nm[joint], "tick {k}");
+        }
+        before = now;
+        let armed = program.safety().state == SafetyState::Armed as u8;
+        assert_eq!(armed, k < limits.timeout_ticks, "tick {k}");
+    }
+    let reason = program.safety().reason;
+    assert_eq!(reason, SafetyReason::CommandTimeout.code());
+    assert_eq!(program.tick(Some(0.0), 1).total_nm, [0.0; 6]);
+}
+
+#[test]
+fn a_stop_is_immediate_and_a_brake_gets_its_time() {
+    let mut program = Program::armed();
+    // SAFETY: `it` lives in all these calls.
+    unsafe {
+        use ForetorqueStatus::{Armed, Null, Ok};
+        assert_eq!(foretorque_set_brake(program.it, 100_000), Armed);
+        foretorque_stop(program.it, 0);
+        let safety = program.safety();
+        let stopped = SafetyReason::Stopped.code();
+        assert_eq!((safety.enabled, safety.latched), (0, stopped));
+        assert_eq!(program.tick(Some(0.0), 1).total_nm, [0.0; 6]);
+        assert_eq!(program.arm(), SafetyReason::Stopped);
+        let mut reason = 255;
+        assert_eq!(foretorque_clear_fault(program.it, &raw mut reason), Ok);
+        assert_eq!(foretorque_set_brake(program.it, 100_000), Ok);
+        (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
+        assert_eq!(program.arm(), SafetyReason::None);
+        (0..40).for_each(|_| _ = program.tick(Some(0.0), 1));
+        assert_eq!(program.safety().brake_released, 1);
+        foretorque_disarm(program.it);
+        let mut held = 0;
+        while program.safety().enabled == 1 {
+            assert_eq!(program.safety().brake_released, 0);
+            held += u32::from(program.tick(None, 0).total_nm[1].abs() > 30.0);
+        }
+        assert!((98..=106).contains(&held), "{held}");
+        foretorque_temperature(program.it, 2, 101);
+        (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
+        assert_eq!(program.arm(), SafetyReason::MotorHot);
+        assert_eq!(foretorque_disarm(ptr::null_mut()), Null);
+    }
+}
+
+/// The numbers of main.c.
+struct Numbers(u32);
+
+impl Numbers {
+    fn any(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        self.0.cast_signed() as f32 * (1.0 / 2_147_483_648.0)
+    }
+
+    fn fill(&mut self, sample: &mut ForetorqueSample, tick: u32) {
+        for joint in 0..FORETORQUE_JOINTS {
+            let way = tick as f32 * 0.002 + 0.1 * joint as f32;
+            sample.q_rad[joint] = way;
+            sample.qd_rad_s[joint] = 2.0 + 0.1 * self.any();
+            sample.qdd_rad_s2[joint] = self.any();
+            sample.measured_q_rad[joint] = way;
+            sample.measured_tau_nm[joint] = 10.0 * self.any();
+        }
+        sample.measured = 1;
+    }
+}
+
+fn line(values: &[f32]) -> String {
+    let words = values.iter().map(|v| format!("{:08x}", v.to_bits()));
+    words.collect::<Vec<_>>().join(" ")
+}
+
+/// The computation of main.c on the host.
+fn native() -> Vec<String> {
+    let program = Program::new();
+    let it = program.it;
+    let mut sample = ForetorqueSample::default();
+    let mut torque = ForetorqueTorque::default();
+    let mut numbers = Numbers(1);
+    let mut lines = Vec::new();
+    let (mut bank, mut length) = ([0_u8; 4096], 0);
+    // SAFETY: `it` lives; every other pointer is to a variable above.
+    unsafe {
+        foretorque_set_learning(it, 1);
+        for tick in 0..TICKS {
+            numbers.fill(&mut sample, tick);
+            let lost = tick % 10 == 9;
+            let given = if lost { ptr::null() } else { &raw const sample };
+            foretorque_step(it, given, &raw mut torque);
+            lines.push(line(&torque.total_nm));
+            foretorque_learn(it);
+        }
+        foretorque_set_learning(it, 0);
+        let saved = foretorque_save_bank(it, bank.as_mut_ptr(), bank.len(), &raw mut length);
+        assert_eq!(saved, ForetorqueStatus::Ok);
+        let loaded = foretorque_load_bank(it, bank.as_ptr(), length);
+        assert_eq!(loaded, ForetorqueStatus::Ok);
+        foretorque_step(it, &raw const sample, &raw mut torque);
+    }
+    lines.push(line(&torque.rigid_nm));
+    lines
+}
+
+fn emulated() -> Vec<String> {
+    let target = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target");
+    let elf = target.join("thumbv7em-none-eabihf/firmware/capi-example");
+    let place = elf.display();
+    assert!(
+        elf.is_file(),
+        "no C program at {place}: build it with `cargo xtask capi`"
+    );
+    let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("capi.txt");
+    let status = Command::new("timeout")
+        .args([PATIENCE, "qemu-system-arm", "-machine", "netduinoplus2"])
+        .args(["-display", "none", "-monitor", "none"])
+        .args(["-serial", "none", "-icount", "shift=3,sleep=off"])
+        .args(["-semihosting-config", "enable=on,target=native,chardev=out"])
+        .arg("-chardev")
+        .arg(format!("file,id=out,path={}", out.display()))
+        .arg("-kernel")
+        .arg(&elf)
+        .stdin(Stdio::null())
+        .status()
+        .expect("qemu-system-arm is installed");
+    assert!(status.success(), "main returned {status}");
+    let text = fs::read_to_string(out).expect("it has written something");
+    text.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn the_c_program_gives_the_same_bits_as_the_library_here() {
+    let (native, emulated) = (native(), emulated());
+    assert_eq!(emulated.len(), TICKS as usize + 1);
+    assert_eq!(emulated, native);
+    assert_ne!(native[0], native[200], "nothing moves");
+}
+
+#[test]
+fn bad_calls_are_answered_and_change_nothing() {
+    let mut memory = vec![0_u64; foretorque_size().div_ceil(8)];
+    let size = 8 * memory.len();
+    let place: *mut core::ffi::c_void = memory.as_mut_ptr().cast();
+    let mut it = ptr::null_mut();
+    // SAFETY: as above; the null pointers are what is tried.
+    unsafe {
+        use ForetorqueStatus::{Bank, LearningOn, Misaligned, Null, Ok, Period, TooSmall};
+        let nowhere = ptr::null_mut();
+        assert_eq!(foretorque_init(nowhere, size, 1e-3, &raw mut it), Null);
+        assert_eq!(foretorque_init(place, size, 1e-3, ptr::null_mut()), Null);
+        assert_eq!(foretorque_init(place, 100, 1e-3, &raw mut it), TooSmall);
+        let odd = place.byte_add(1);
+        assert_eq!(foretorque_init(odd, size, 1e-3, &raw mut it), Misaligned);
+        for period in [0.0, -1.0, 1e-9, 1.0, f32::INFINITY, f32::NAN] {
+            assert_eq!(foretorque_init(place, size, period, &raw mut it), Period);
+        }
+        assert!(it.is_null());
+        assert_eq!(foretorque_init(place, size, 1e-3, &raw mut it), Ok);
+        let junk = [1_u8; 64];
+        assert_eq!(foretorque_load_bank(it, junk.as_ptr(), junk.len()), Bank);
+        assert_eq!(foretorque_load_bank(it, ptr::null(), 0), Null);
+        foretorque_set_learning(it, 1);
+        let refused = foretorque_load_bank(it, junk.as_ptr(), junk.len());
+        assert_eq!(refused, LearningOn);
+        let (mut buffer, mut length) = ([0_u8; 16], 0);
+        let saved = foretorque_save_bank(it, buffer.as_mut_ptr(), buffer.len(), &raw mut length);
+        assert_eq!((saved, length), (TooSmall, 0));
+        assert_eq!(foretorque_learn(ptr::null_mut()), Null);
+        assert_eq!(foretorque_step(it, ptr::null(), ptr::null_mut()), Null);
+    }
+}
+
+#[test]
+fn the_header_is_that_of_the_source() {
+    let place = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let config = cbindgen::Config::from_file(place.join("cbindgen.toml")).expect("a configuration");
+    let bindings = cbindgen::Builder::new()
+        .with_config(config)
+        .with_src(place.join("src/lib.rs"))
+        .generate()
+        .expect("the source has bindings");
+    let mut generated = Vec::new();
+    bindings.write(&mut generated);
+    let generated = String::from_utf8(generated).expect("text");
+    let header = place.join("include/foretorque.h");
+    if std::env::var_os("UPDATE_HEADER").is_some() {
+        fs::write(&header, &generated).expect("the header can be written");
+    }
+    let committed = fs::read_to_string(&header).expect("the header is there");
+    assert!(
+        committed == generated,
+        "include/foretorque.h is not up to date: UPDATE_HEADER=1 cargo test -p foretorque-capi --test interface"
+    );
+}
