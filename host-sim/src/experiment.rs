@@ -2,7 +2,7 @@
 
 use super::boards::BoardChoice;
 use super::terminal::{Bar, show};
-use super::{Failure, Snapshot, excite, unusable};
+use super::{Failure, Snapshot, excite, identification, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
@@ -39,6 +39,7 @@ enum Study {
     Demo(Demo),
     Efficiency(Efficiency),
     Excitation(Excitation),
+    Identification(Identification),
     Learning(Learning),
     Paper(Paper),
     /// Identify a real UR5 on some paths, validate on the others, every path held out in turn
@@ -125,6 +126,17 @@ struct Excitation {
     robot: String,
 }
 
+/// Methods of identification over arms, lengths of the log and columns
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+struct Identification {
+    #[command(flatten)]
+    out: Out,
+    /// Number of arms, one for each seed
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: u64,
+}
+
 /// Learning on a world of arms, in closed loop, over everything that may go wrong
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
@@ -207,6 +219,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             own.jobs
                 .study(|records, _, progress| excitation::run(config, records, progress))
         }
+        Some(Study::Identification(Identification { out, seeds })) => {
+            out.study(|progress| identification::run(&out.out, (out.seed, *seeds), progress))
+        }
         Some(Study::Learning(arguments)) => run_learning(arguments),
         Some(Study::Paper(arguments)) => run_paper(arguments),
         Some(Study::RealUr5(OfLogs { out, logs })) => {
@@ -225,7 +240,7 @@ fn list() -> Result<(), Failure> {
     let studies = Study::augment_subcommands(Command::new("experiment"));
     for study in studies.get_subcommands() {
         let shows = study.get_about().cloned().unwrap_or_default();
-        show!("{:<12} {shows}", study.get_name())?;
+        show!("{:<14} {shows}", study.get_name())?;
     }
     Ok(())
 }

@@ -12,6 +12,7 @@ mod drive;
 mod excite;
 mod experiment;
 mod faults;
+mod identification;
 mod identify;
 mod logs;
 mod motion_log;

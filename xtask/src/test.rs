@@ -42,8 +42,8 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
 
     // Each lane has directories of its own, so that no build waits for another one.
     outcomes.extend(side_by_side([host_builds(tools), board_builds(tools)]));
-    // Linking an image takes one core: the other one has the docs.
-    outcomes.extend(side_by_side([images(tools), documents()]));
+    // Linking an image takes one core: the other one has the crates outside and the docs.
+    outcomes.extend(side_by_side([images(tools), public(tools)]));
     // After the builds, because the tests run the board's ELF files.
     let mut counts = [0; 2];
     outcomes.push(pass("tests", || {
@@ -129,7 +129,6 @@ fn board_builds(tools: Tools) -> Vec<Gate> {
     vec![
         runs("clippy, board", clippy),
         runs("clippy, no log", plain_clippy),
-        gate("crate outside", move || outside::gate(tools)),
     ]
 }
 
@@ -155,14 +154,17 @@ fn images(tools: Tools) -> Vec<Gate> {
     ]
 }
 
-/// The documentation of every package.
-fn documents() -> Vec<Gate> {
+/// Packages as a user has them, and the documentation of every package.
+fn public(tools: Tools) -> Vec<Gate> {
     // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
     let mut docs = command("cargo");
     docs.args(["doc", "--workspace", "--no-deps"])
         .args(["--lib", "--bins", "--examples"])
         .env("RUSTDOCFLAGS", "-D warnings");
-    vec![runs("docs", docs)]
+    vec![
+        runs("docs", docs),
+        gate("crate outside", move || outside::gate(tools)),
+    ]
 }
 
 fn pass(name: &'static str, gate: impl FnOnce() -> Result<()>) -> Outcome {

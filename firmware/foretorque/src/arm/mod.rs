@@ -238,7 +238,7 @@ pub const fn most_parameters(joints: usize) -> usize {
     (8 * joints - 5).next_multiple_of(4)
 }
 
-/// Constants of an arm: the fields are those of [`Arm`](Arm).
+/// Constants of an arm: the fields are those of [`Arm`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmModel<const N: usize, const P: usize> {
     /// Name of the arm, as in its description file.
@@ -268,7 +268,7 @@ pub struct ArmModel<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> ArmModel<N, P> {
-    /// [`Arm::HASH`](Arm::HASH) of this arm.
+    /// [`Arm::HASH`] of this arm.
     pub const fn hash(&self) -> u32 {
         identity(&self.gravity, &self.placements, &self.columns)
     }

@@ -121,7 +121,7 @@ impl<const N: usize> Torque<N> {
 
 /// The feed-forward of one arm: configuration, state and scratch in one place.
 ///
-/// One tick; the example of the [crate](crate) has the learner beside it.
+/// One tick; the example of the [crate] has the learner beside it.
 /// ```
 /// use foretorque::arm::ur5::{FeedForward, ParameterSet, Ur5};
 /// use foretorque::feedforward::FeedForwardConfig;
