@@ -22,6 +22,8 @@ const LOGS: [&str; 3] = [
 /// The fit, with COLUMNS and METHODS.
 const FIT: &str = "identify --robot ur5 --log OUT/t.csv.gz --validate OUT/v.csv.gz --validate OUT/tool.csv.gz \
                    --columns COLUMNS --methods METHODS --out OUT/fit";
+/// Directory of the paths in [`LOGS`].
+const PATHS: &str = "host-sim/paths";
 /// Length of the log in the comparison of arms, s.
 const LENGTH_S: u32 = 30;
 /// Columns and methods of the comparison of arms.
@@ -60,12 +62,16 @@ pub(super) struct IdentificationReport {
 
 /// Runs the study in `directory`, with the arms of `seeds` seeds from the first one; logs are taken away again.
 ///
-/// Errors: a command that fails.
+/// Errors: no paths below the current directory; a command that fails.
 pub(super) fn run(
     directory: &Path,
     (first, seeds): (u64, u64),
     progress: Progress<'_>,
 ) -> Result<Outcome<IdentificationReport>, Failure> {
+    if !Path::new(PATHS).is_dir() {
+        let reason = format!("{PATHS} is not here: start in the root of foretorque's sources");
+        return Err(unusable(reason));
+    }
     let arms = (first..first + seeds).map(|seed| (seed, LENGTH_S, FITS.to_vec()));
     let lengths =
         LENGTHS_S.map(|length_s| (first, length_s, COLUMNS.map(|c| (c, METHODS)).to_vec()));
@@ -246,4 +252,51 @@ fn compare_lengths(fits: &[FitRecord]) -> Vec<Vec<String>> {
             .collect()
     };
     fits.iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CommandLine;
+    use clap::Parser as _;
+
+    #[test]
+    fn every_command_of_the_study_is_one_of_this_program() {
+        for line in LOGS.iter().chain([&FIT]) {
+            let line = line.replace("SEED", "1").replace("LENGTH", "10");
+            for (columns, methods) in FITS.into_iter().chain(COLUMNS.map(|c| (c, METHODS))) {
+                let line = line.replace("COLUMNS", columns).replace("METHODS", methods);
+                let words = ["host-sim"].into_iter().chain(line.split(' '));
+                CommandLine::try_parse_from(words)
+                    .unwrap_or_else(|error| panic!("{line}: {error}"));
+            }
+        }
+    }
+
+    #[test]
+    fn tables_have_the_errors_of_each_fit_in_percent() {
+        let fit = |columns: &str, methods: &str, error: f64| {
+            let errors = (1u8..).zip(methods.split(','));
+            let errors = errors.map(|(k, method)| (method.to_owned(), error * f64::from(k)));
+            let errors: BTreeMap<String, f64> = errors.collect();
+            FitRecord {
+                seed: 4,
+                length_s: LENGTH_S,
+                columns: columns.to_owned(),
+                cramer_rao_nrmse_moving_ratio: error / 2.0,
+                unseen_nrmse_moving_ratio: errors.clone(),
+                tool_nrmse_moving_ratio: errors,
+            }
+        };
+        let [full, plain] = FITS;
+        let arms = compare_arms(&[fit(full.0, full.1, 0.01), fit(plain.0, plain.1, 0.1)]);
+        let figures = "0.50 1.00 2.00 3.00 10.00 20.00 2.00 10.00 20.00 2.00";
+        let arms: Vec<String> = arms.iter().map(|row| row.join(" ")).collect();
+        assert_eq!(arms, [format!("4 {figures}"), format!("RMS {figures}")]);
+        let lengths = compare_lengths(&[fit(PLAIN, METHODS, 0.01)]);
+        assert_eq!(
+            lengths[0].join(" "),
+            "30 coulomb-viscous 0.50 1.00 2.00 3.00 4.00"
+        );
+    }
 }

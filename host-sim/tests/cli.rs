@@ -198,5 +198,7 @@ fn the_excitation_campaign_is_the_same_from_its_record() {
         let arguments = format!("experiment excitation --from {file} --out x");
         refused(&here, &arguments, format!("{file}: line 1 {defect}"));
     }
+    let study = "experiment identification --out x";
+    refused(&here, study, "start in the root of foretorque's sources");
     assert!(!here.join("x").exists());
 }
