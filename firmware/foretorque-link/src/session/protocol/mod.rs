@@ -318,6 +318,18 @@ mod tests {
     }
 
     #[test]
+    fn a_transfer_without_a_start_asks_for_it() {
+        let start = NackReason::Gap { expected: 0 };
+        let mut transfer = Transfer::new();
+        assert_eq!(transfer.write(64, &[0]), Err(start));
+        assert_eq!(transfer.chunk::<6>(0).err(), Some(start));
+        assert_eq!(transfer.write(0, &[0; 64]), Ok(()));
+        let missing = NackReason::Gap { expected: 64 };
+        assert_eq!(transfer.write(128, &[0]), Err(missing));
+        assert_eq!(transfer.chunk::<6>(0).err(), Some(start));
+    }
+
+    #[test]
     fn hello_restarts_the_count() {
         let mut link = Protocol::new();
         link.last = Some(500);

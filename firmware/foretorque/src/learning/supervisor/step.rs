@@ -322,14 +322,15 @@ mod tests {
         let mut commits = std::vec::Vec::new();
         for tick in (0..20_004).step_by(6) {
             let share = if tick < 600 { 0.4 } else { 0.9 };
-            let next = step(&config(), &state, round(share, false, tick < 1200));
+            let next = step(&config(), &state, round(share, false, tick < 3000));
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
             if next.action == (Action::Follow { commit: true }) {
                 commits.push(tick);
             }
         }
-        assert_eq!(commits, [2592, 10_596, 18_600]);
+        // Due at 2592, it waits for the payload to be let go.
+        assert_eq!(commits, [3000, 11_004, 19_008]);
         for (share, reversed) in [(0.3, false), (0.2, false), (0.4, false), (0.0, true)] {
             let next = step(&config(), &state, round(share, reversed, false));
             state = next.state;
