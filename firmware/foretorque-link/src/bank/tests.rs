@@ -156,10 +156,11 @@ fn missing_friction_columns_are_zero_and_can_be_learnt() {
 fn a_bank_that_does_not_fit_is_refused_with_the_place() {
     use BankError::*;
     type Change = fn(&mut ParameterBank);
-    let refusals: [(Change, BankError); 16] = [
+    let refusals: [(Change, BankError); 18] = [
         (|b| b.arm_hash = !b.arm_hash, WrongArm { found: !Ur5::HASH }),
         (|b| b.columns[3].value = f32::NAN, Column(3)),
         (|b| b.columns[4].deviation = -1.0, Column(4)),
+        (|b| b.columns[4].deviation = f32::INFINITY, Column(4)),
         (|b| _ = b.columns.remove(5), MissingColumn(5)),
         (
             |b| b.columns[6].id.kind = ColumnKind::try_from(0).unwrap(),
@@ -175,6 +176,7 @@ fn a_bank_that_does_not_fit_is_refused_with_the_place() {
         (|b| _ = b.weights.pop(), NetworkShape),
         (|b| b.weights[100] = f32::INFINITY, Weight(100)),
         (|b| b.drive_gains_nm_a[2] = -1.0, DriveGain(2)),
+        (|b| b.drive_gains_nm_a[2] = f32::INFINITY, DriveGain(2)),
         (|b| _ = b.drive_gains_nm_a.pop(), DriveGain(5)),
         (|b| b.limits[1].torque_nm = 151.0, Limit(1)),
         (|b| b.limits[0].slew_nm_s = 0.0, Limit(0)),
