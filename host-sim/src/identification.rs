@@ -83,9 +83,9 @@ pub(super) fn run(
         |(seed, length_s, fits)| {
             let directory = directory.join(format!("seed-{seed}-{length_s}-s-{}", fits.len()));
             std::fs::create_dir_all(&directory).map_err(|error| at(&directory, error))?;
-            let records = fit(&directory, (*seed, *length_s), fits)?;
+            let records = fit(&directory, (*seed, *length_s), fits);
             std::fs::remove_dir_all(&directory)?;
-            Ok::<_, Failure>(records)
+            records
         },
         || {
             done += 1;
@@ -135,11 +135,11 @@ fn fit(
         let line = line
             .replace("SEED", &seed.to_string())
             .replace("LENGTH", &length_s.to_string());
-        obey(directory, &line)?;
+        execute(directory, &line)?;
     }
     let records = fits.iter().map(|(columns, methods)| {
         let line = FIT.replace("COLUMNS", columns).replace("METHODS", methods);
-        obey(directory, &line)?;
+        execute(directory, &line)?;
         let path = directory.join("fit/report.json");
         let text = std::fs::read_to_string(&path).map_err(|error| at(&path, error))?;
         let report: serde_json::Value = serde_json::from_str(&text)?;
@@ -173,7 +173,7 @@ fn fit(
 /// Runs a command of this program with `directory` for OUT.
 ///
 /// Errors: what the command reports.
-fn obey(directory: &Path, line: &str) -> Result<(), Failure> {
+fn execute(directory: &Path, line: &str) -> Result<(), Failure> {
     let mut command = Command::new(current_exe()?);
     for word in line.split(' ') {
         match word.strip_prefix("OUT/") {
@@ -203,10 +203,7 @@ const LENGTHS_HEAD: (&str, &str, &str) = (
 
 /// A line for each arm, then the RMS over them.
 fn compare_arms(fits: &[FitRecord]) -> Vec<Vec<String>> {
-    let figures = |pair: &[FitRecord]| {
-        let [full, plain] = pair else {
-            return [f64::NAN; 10];
-        };
+    let figures = |[full, plain]: &[FitRecord; FITS.len()]| {
         let (unseen, tool) = (
             &plain.unseen_nrmse_moving_ratio,
             &plain.tool_nrmse_moving_ratio,
@@ -226,9 +223,10 @@ fn compare_arms(fits: &[FitRecord]) -> Vec<Vec<String>> {
             over(tool),
         ]
     };
-    let arms: Vec<[f64; 10]> = fits.chunks(FITS.len()).map(figures).collect();
+    let (pairs, _) = fits.as_chunks();
+    let arms: Vec<[f64; 10]> = pairs.iter().map(figures).collect();
     let rms = std::array::from_fn(|k| root_mean(arms.iter().map(|arm| arm[k] * arm[k])));
-    let names = fits.chunks(FITS.len()).map(|pair| pair[0].seed.to_string());
+    let names = pairs.iter().map(|[full, _]| full.seed.to_string());
     let names = names.chain(["RMS".to_owned()]);
     let line = |(name, figures): (String, &[f64; 10])| {
         let figures = figures.iter().map(|figure| format!("{figure:.2}"));

@@ -231,7 +231,7 @@ fn identify_arm(
     for (joint, gain) in report.drive_gains.iter().enumerate() {
         let found = match gain.std_nm_a {
             Some(std) => format!("± {std:.3}, description {:.3}", gain.description_nm_a),
-            None => "of the description, standstill does not tell it".to_owned(),
+            None => "of the description, standstill does not show it".to_owned(),
         };
         let (joint, value) = (joint + 1, gain.gain_nm_a);
         show!("gain  joint {joint}  {value:.3} N·m/A {found}")?;

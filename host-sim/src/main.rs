@@ -20,6 +20,7 @@ mod run;
 mod simulate;
 mod terminal;
 mod torque;
+mod wiring;
 
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, Parser, Subcommand};
@@ -155,7 +156,7 @@ enum Command {
     Run(run::Arguments),
     Drive(drive::Arguments),
     Commission(commission::Arguments),
-    Wiring(bus::Arguments),
+    Wiring(wiring::Arguments),
     Record(logs::Record),
     Replay(logs::Replay),
     Compare(compare::Arguments),
@@ -193,7 +194,7 @@ fn run() -> Result<(), Failure> {
         Command::Run(arguments) => run::run(&arguments),
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Commission(arguments) => commission::run(&arguments),
-        Command::Wiring(arguments) => bus::run(&arguments),
+        Command::Wiring(arguments) => wiring::run(&arguments),
         Command::Record(arguments) => arguments.run(),
         Command::Replay(arguments) => arguments.run(),
         Command::Compare(arguments) => compare::run(&arguments),

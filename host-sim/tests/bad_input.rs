@@ -1,7 +1,7 @@
 //! Messages about unusable input, a terminal that hangs up, a board that dies, and a program that is ended: one line, no panic,
 //! nothing half written, no emulator left behind.
 
-use crate::{command, directory, failure, has, soon, still, succeeds, write};
+use crate::{assert_contains, command, directory, failure, soon, still, succeeds, write};
 use foretorque_workbench::board::qemu::Image;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
 use nix::unistd::Pid;
@@ -86,7 +86,7 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         let output = command(&here, arguments).output().expect("it starts");
         let stderr = line(arguments, &output);
         for word in words {
-            has(&stderr, word);
+            assert_contains(&stderr, word);
         }
         let left = files(&here) != before || here.join("out").exists();
         assert!(!left, "`{arguments}` left something");
@@ -106,7 +106,7 @@ fn a_missing_emulator_is_told_in_one_line() {
     ] {
         let output = command(&here, arguments).env("PATH", &here).output();
         let stderr = line(arguments, &output.expect("it starts"));
-        has(&stderr, "qemu-system-arm");
+        assert_contains(&stderr, "qemu-system-arm");
         assert!(files(&here) == before, "`{arguments}` left something");
     }
 }
@@ -173,7 +173,7 @@ fn results_go_through_what_is_no_file() {
     assert_eq!(table.lines().count(), 11);
     assert!(run("/dev/null").status.success());
     let full = run("/dev/full");
-    has(&failure("full", &full), "/dev/full: No space left");
+    assert_contains(&failure("full", &full), "/dev/full: No space left");
     assert!(files(&here).is_empty(), "{:?}", files(&here));
     for device in ["/dev/null", "/dev/full"] {
         let metadata = fs::metadata(device).expect("it is there");
@@ -199,7 +199,7 @@ fn results_of_an_earlier_run_do_not_stay() {
     }
     let compared = succeeds(&here, "compare out out --out c.html");
     assert_eq!(compared, "no figure differs\n");
-    has(&succeeds(&here, "completions bash"), "complete");
+    assert_contains(&succeeds(&here, "completions bash"), "complete");
 }
 
 /// Fields of a process behind its name, which may contain anything (proc(5)): state, parent, …; `None` without such a process.
@@ -245,8 +245,8 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
         kill(Pid::from_raw(emulator), Signal::SIGKILL).expect("it is ours");
         let output = child.wait_with_output().expect("it ends");
         let stderr = line(arguments, &output);
-        has(&stderr, "qemu");
-        has(&stderr, "died");
+        assert_contains(&stderr, "qemu");
+        assert_contains(&stderr, "died");
         assert!(files(&here).is_empty(), "{:?}", files(&here));
     }
 }

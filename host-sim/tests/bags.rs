@@ -1,7 +1,7 @@
 //! Logs of real arms as ROS 2 bags, identified from and replayed as they are; and MCAP beside CSV: every tick, the same
 //! numbers, read back by this program and, where it is installed, by another reader.
 
-use crate::{directory, has, host_sim, json, number, succeeds};
+use crate::{assert_contains, directory, host_sim, json, number, succeeds};
 use std::process::Command;
 
 fn data(name: &str) -> String {
@@ -66,7 +66,7 @@ fn a_run_is_written_as_mcap_with_every_tick_and_the_numbers_of_the_csv() {
     let check = |log: &str| {
         let arguments = format!("identify --robot ur5 --log out/log.{log} --data-check");
         let shown = String::from_utf8(host_sim(&here, &arguments).stdout).expect("text");
-        has(&shown, "joint 6");
+        assert_contains(&shown, "joint 6");
         shown.replace(&format!("log.{log}"), "log")
     };
     assert_eq!(check("csv"), check("mcap"));

@@ -1,6 +1,8 @@
 //! Results of the program, with every board and in every study.
 
-use crate::{directory, fails, files, has, json, number, refused, states, succeeds, text, write};
+use crate::{
+    assert_contains, directory, fails, files, json, number, refused, states, succeeds, text, write,
+};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
@@ -45,7 +47,7 @@ fn an_arm_of_seven_joints_runs_in_a_closed_loop_and_learns() {
     let joints = report["tracking_rms_joint_mrad"].as_array();
     assert_eq!(joints.map(Vec::len), Some(7));
     let shown = succeeds(&here, "bank out/bank.bin");
-    has(&shown, "usable    yes, on a board that drives panda");
+    assert_contains(&shown, "usable    yes, on a board that drives panda");
 }
 
 #[test]
@@ -137,7 +139,7 @@ fn whole_and_in_jobs(here: &Path, study: &str, seeds: u64) -> String {
     assert_eq!(whole, text(here.join("jobs/report.json")));
     let error = fails(here, &format!("{study} --seed 4 --out x"));
     for words in ["all.jsonl: ", "records are missing"] {
-        has(&error, words);
+        assert_contains(&error, words);
     }
     whole
 }

@@ -1,8 +1,8 @@
 //! The commands `drive` and `commission`: on simulated drives, on a bus of python-can, and on buses that are not there.
 
 use crate::{
-    at_port, command, directory, fails, failure, files, has, host_sim, json, number, refused,
-    still, succeeds, text, write,
+    assert_contains, at_port, command, directory, fails, failure, files, host_sim, json, number,
+    refused, still, succeeds, text, write,
 };
 use serialport::TTYPort;
 use std::fs;
@@ -31,8 +31,8 @@ fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
         "drive --profile {PROFILE} --bus sim --trajectory validation --duration-s 6 --learn --out out"
     );
     let shown = succeeds(&here, &command);
-    has(&shown, "PD of the drives alone: ");
-    has(&shown, "replies lost");
+    assert_contains(&shown, "PD of the drives alone: ");
+    assert_contains(&shown, "replies lost");
     let written = files(&here.join("out"));
     assert_eq!(written, ["bank.bin", "drive.json", "log.csv", "log.mcap"]);
     let summary = json(here.join("out/drive.json"));
@@ -55,7 +55,7 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
     for step in [
         "Find", "Turn", "Zero", "Torque", "Friction", "Weight", "Excite", "Drive", "Identify",
     ] {
-        has(&text, format!("{step}: passed"));
+        assert_contains(&text, format!("{step}: passed"));
     }
     let out = here.join("out");
     let written = ["commission.json", "driven", "excitation", "identified"];
@@ -87,7 +87,7 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
     ];
     for (role, expected, wires, more) in cases {
         let command = format!("wiring --profile {PROFILE} --role {role}{more} --out board.bin");
-        has(&succeeds(&here, &command), "0x08080000 board.bin");
+        assert_contains(&succeeds(&here, &command), "0x08080000 board.bin");
         let mut bytes = fs::read(here.join("board.bin")).expect("it was written");
         bytes.resize(Wiring::<6>::BYTES, 0xff);
         let wiring = Wiring::<6>::decode(&bytes).expect("the board reads it");
@@ -121,8 +121,8 @@ robot = \"ur5\" | robot = \"panda\" | 6 joints contradict the 7 joints of robot 
         let file = changed(&here, parts[0], parts[1]);
         let drive = format!("drive --profile {} --bus sim", file.display());
         let line = fails(&here, &format!("{drive} --trajectory validation --out out"));
-        has(&line, parts[2]);
-        has(&line, "changed.toml");
+        assert_contains(&line, parts[2]);
+        assert_contains(&line, "changed.toml");
     }
     for (bus, named) in [
         (
@@ -159,7 +159,7 @@ fn a_bus_without_drives_is_silent_in_one_line() {
         println!("skipped: no multicast on this machine: {stderr}");
         return;
     }
-    has(&failure(&command, &output), SILENT);
+    assert_contains(&failure(&command, &output), SILENT);
 }
 
 #[test]
@@ -221,7 +221,7 @@ fn drives_in_python_can_are_armed_and_follow() {
         slow.display()
     );
     let text = succeeds(&here, &command);
-    has(&text, "600 ticks at 100 Hz");
+    assert_contains(&text, "600 ticks at 100 Hz");
     let _ = drives.wait();
     line.clear();
     output.read_line(&mut line).expect("it writes");
@@ -250,6 +250,6 @@ fn an_interrupt_switches_the_torque_off_and_is_a_failure() {
     nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGTERM).expect("it is ours");
     let output = child.wait_with_output().expect("it ends");
     let line = failure(&arguments, &output);
-    has(&line, "interrupted after ");
-    has(&line, ", torque off");
+    assert_contains(&line, "interrupted after ");
+    assert_contains(&line, ", torque off");
 }

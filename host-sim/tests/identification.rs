@@ -1,7 +1,9 @@
 //! The command `identify` as a user runs it: parameters of a known arm, one line for each defect of a log, and mistakes planted
 //! into a sound log, none of which yields a bank.
 
-use crate::{directory, fails, has, host_sim, json, number, refused, succeeds, text, write};
+use crate::{
+    assert_contains, directory, fails, host_sim, json, number, refused, succeeds, text, write,
+};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::robot::{Link, Robot};
 use foretorque_workbench::table::write_motion;
@@ -146,17 +148,17 @@ fn a_joint_that_stands_still_is_named_by_its_unseen_parameters_and_the_others_ar
     log(&here.join("still.csv"), 2000, 0.0, Some(5), 0.1);
     let message = fails(&here, "identify --robot ur5 --log still.csv --out out");
     for name in ["rank deficient", "Ia6", "Fv6", "Fc6"] {
-        has(&message, name);
+        assert_contains(&message, name);
     }
     assert!(!message.contains("Fv1"), "{message}");
     // The board learns the others: the reference is the description.
     let stdout = succeeds(&here, "replay --robot ur5 --log still.csv --out replayed");
-    has(&stdout, "1.000 × the description without friction");
+    assert_contains(&stdout, "1.000 × the description without friction");
     let report = json(here.join("replayed/report.json"));
     assert!(number(&report["newest_vs_rich_wls_ratio"]) < 0.5);
     assert!(report["plain_wls_vs_rich_wls_ratio"].is_null());
     let notes = report["notes"].to_string();
-    has(&notes, "do not show all columns of coulomb-viscous\"");
+    assert_contains(&notes, "do not show all columns of coulomb-viscous\"");
 }
 
 #[test]
@@ -166,7 +168,7 @@ fn columns_absent_on_the_board_are_named_the_others_reach_it() {
     let columns = "--columns coulomb-viscous+offset+stribeck+load+cogging+cubic";
     let arguments = format!("--log log.csv --methods wls,irls {columns}");
     let (stdout, report) = identified(&here, &arguments);
-    has(&stdout, "the board has no column cubic");
+    assert_contains(&stdout, "the board has no column cubic");
     let bank = succeeds(&here, "bank out/parameters.bank");
     // An identified column has a value other than zero.
     for name in ["Fv1", "Fc1", "Fs1", "Fb1", "Fl2", "Fo1", "Gs1", "Gc1"] {
@@ -190,7 +192,7 @@ fn a_gap_splits_the_log_and_is_noted() {
     });
     write(here.join("cut.csv"), cut);
     let (stdout, report) = identified(&here, "--log cut.csv --validate whole.csv --methods wls");
-    has(&stdout, "cut.csv:1501: column t_s: gap of 0.255");
+    assert_contains(&stdout, "cut.csv:1501: column t_s: gap of 0.255");
     let error = &report["methods"]["wls"]["validation"]["whole.csv"]["joints_nrmse_moving_ratio"];
     // The noise of the whole log itself is 1 % of the wrists' torque; a derivative across the gap would be far worse.
     assert!(number(error) < 0.02, "{error}");
@@ -379,11 +381,11 @@ fn an_inaccurate_description_is_no_mistake() {
         succeeds(&here, &format!("simulate --robot ur5 {path} {plant}"));
         let identify = "identify --robot ur5 --log plant.csv";
         let stdout = succeeds(&here, &format!("{identify} --data-check"));
-        has(&stdout, "no finding that refuses a bank");
+        assert_contains(&stdout, "no finding that refuses a bank");
         let wls = "--validate plant.csv --methods wls --out out";
         let stdout = succeeds(&here, &format!("{identify} {wls}"));
-        has(&stdout, "holds what the training log");
-        has(&stdout, "torque error joint by joint, wls:");
+        assert_contains(&stdout, "holds what the training log");
+        assert_contains(&stdout, "torque error joint by joint, wls:");
     }
 }
 

@@ -58,7 +58,7 @@ fn fails(directory: &Path, arguments: &str) -> String {
 /// Fails in one line that has `words` in it.
 #[track_caller]
 fn refused(directory: &Path, arguments: &str, words: impl AsRef<str>) {
-    has(&fails(directory, arguments), words);
+    assert_contains(&fails(directory, arguments), words);
 }
 
 /// The one line of a run that failed.
@@ -96,7 +96,7 @@ fn soon<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
 
 /// `text` has `words` in it.
 #[track_caller]
-fn has(text: &str, words: impl AsRef<str>) {
+fn assert_contains(text: &str, words: impl AsRef<str>) {
     let words = words.as_ref();
     assert!(text.contains(words), "no `{words}` in: {text}");
 }

@@ -1,6 +1,8 @@
 //! Boards on a pseudo-terminal: driven by the program and by the clients in one file each, and read along.
 
-use crate::{at_port, directory, files, has, python, refused, states, succeeds, text, write};
+use crate::{
+    assert_contains, at_port, directory, files, python, refused, states, succeeds, text, write,
+};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::{ParameterSet, Ur5};
@@ -92,7 +94,7 @@ fn a_line_is_read_along_without_a_byte_sent() {
         (port.to_owned(), shown)
     });
     assert_eq!(received, 0, "bytes were sent");
-    has(&shown, " records, 0 left out");
+    assert_contains(&shown, " records, 0 left out");
     let table = text(here.join("telemetry.csv"));
     let mut lines = table.lines();
     let header = "t_s,total1_nm,total2_nm,total3_nm,total4_nm,total5_nm,total6_nm";

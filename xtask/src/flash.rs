@@ -13,6 +13,7 @@ use ihex::Record;
 use crate::runs::ELF_COPY;
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command, shown};
+use crate::toolchain;
 
 /// Where the images go, from the workspace's root.
 const OUT: &str = "target/foretorque/flash";
@@ -56,7 +57,7 @@ pub(crate) fn run(
     let tools = setup::run(forced)?;
     let mut firmware = tools.board.board_cargo("build");
     shell::run(firmware.args(["--bin", binary]))?;
-    let elf = shell::elf(binary);
+    let elf = toolchain::elf(binary);
     let bytes = shell::read(&elf)?;
     let mut sealed = bytes.clone();
     write_images(&seal(&mut sealed)?, binary)?;

@@ -8,6 +8,7 @@ mod runs;
 mod setup;
 mod shell;
 mod test;
+mod toolchain;
 mod words;
 
 use std::num::NonZeroU64;

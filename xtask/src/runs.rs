@@ -7,7 +7,8 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 
 use crate::setup::{self, Way};
-use crate::shell::{self, PROFILE, TARGET, Toolchain, capture, command};
+use crate::shell::{self, capture, command};
+use crate::toolchain::{self, PROFILE, TARGET, Toolchain};
 
 /// The flashable ELF that the demo emulated, kept beside its report for comparison with the one that is flashed.
 pub(crate) const ELF_COPY: &str = "target/foretorque/demo/joint.elf";
@@ -21,7 +22,7 @@ pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
     let mut host_sim = command(&host_sim()?.to_string_lossy());
     println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
     shell::run(host_sim.args(["experiment", "demo", "--out", "target/foretorque/demo"]))?;
-    let elf = shell::elf("joint");
+    let elf = toolchain::elf("joint");
     let copied = fs::copy(&elf, shell::root().join(ELF_COPY))
         .with_context(|| format!("cannot copy {}", elf.display()))?;
     println!(
@@ -51,7 +52,7 @@ pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     shell::run(build.args(images.iter().flat_map(|image| ["--bin", image])))?;
     let version = capture(board.tool("rustc").arg("--version"));
     let version = version.context("rustc reports no version")?;
-    let (elves, root) = (shell::elves(), shell::root());
+    let (elves, root) = (toolchain::elves(), shell::root());
     foretorque_cost::bench(&elves, &arms, &root, version.trim(), accept)
 }
 

@@ -13,7 +13,8 @@ use crate::circles;
 use crate::outside;
 use crate::runs;
 use crate::setup::{self, Way};
-use crate::shell::{self, Tools, command, line};
+use crate::shell::{self, command, line};
+use crate::toolchain::{self, Tools};
 use crate::words;
 
 /// Result of a gate.
@@ -145,7 +146,7 @@ fn images(tools: Tools) -> Vec<Gate> {
         runs("firmware", firmware),
         gate("linked firmware", || {
             let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-            cost::check_firmware(&shell::elves(), &names)
+            cost::check_firmware(&toolchain::elves(), &names)
         }),
         gate("library for C", move || {
             outside::bring_compiler()?;

@@ -95,11 +95,11 @@ struct Readme;
 
 /// Seeded numbers of tests, uniform in ±1.
 #[cfg(test)]
-pub(crate) struct Dice(pub(crate) u64);
+pub(crate) struct Random(pub(crate) u64);
 
 #[cfg(test)]
-impl Dice {
-    pub(crate) fn roll(&mut self) -> f64 {
+impl Random {
+    pub(crate) fn uniform(&mut self) -> f64 {
         self.0 = self
             .0
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -109,6 +109,6 @@ impl Dice {
 
     /// Sum of twelve: variance 1 is four times a third.
     pub(crate) fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.roll()).sum::<f64>() * 0.5
+        (0..12).map(|_| self.uniform()).sum::<f64>() * 0.5
     }
 }

@@ -27,7 +27,7 @@ fn inputs(target: &str) -> Vec<Vec<u8>> {
 const NUMBERS: [f32; 6] = [f32::NAN, f32::INFINITY, f32::MAX, -1.0, 0.0, 1e-40];
 
 /// Up to eight changes of `input`: a byte, a bit, a number, a piece left out, or a piece repeated.
-fn change(input: &mut Vec<u8>, random: &mut ChaCha8Rng) {
+fn mutate(input: &mut Vec<u8>, random: &mut ChaCha8Rng) {
     for _ in 0..random.random_range(1..=8) {
         if input.is_empty() {
             input.push(0);
@@ -49,7 +49,7 @@ fn change(input: &mut Vec<u8>, random: &mut ChaCha8Rng) {
 }
 
 /// Passes every input and `executions` changed ones to a target, which panics where a promise is broken.
-fn attack(name: &str, executions: usize) {
+fn run(name: &str, executions: usize) {
     let target = fuzz::target(name).expect("a target of this name");
     let inputs = inputs(name);
     assert!(!inputs.is_empty());
@@ -57,7 +57,7 @@ fn attack(name: &str, executions: usize) {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     for input in inputs.iter().cycle().take(executions) {
         let mut changed = input.clone();
-        change(&mut changed, &mut random);
+        mutate(&mut changed, &mut random);
         let broken = std::panic::catch_unwind(|| target(&changed)).is_err();
         assert!(!broken, "{name} breaks a promise after {changed:02x?}");
     }
@@ -65,25 +65,25 @@ fn attack(name: &str, executions: usize) {
 
 #[test]
 fn the_decoder_stays_in_step_whatever_bytes_come() {
-    attack("decoder", 450_000);
+    run("decoder", 450_000);
 }
 
 #[test]
 fn a_bank_that_is_read_is_usable_and_is_written_the_same() {
-    attack("bank", 400_000);
+    run("bank", 400_000);
 }
 
 #[test]
 fn a_session_keeps_its_promises_whatever_frames_and_periods_come() {
-    attack("session", 20_000);
+    run("session", 20_000);
 }
 
 #[test]
 fn a_store_loads_whole_parameters_or_none() {
-    attack("store", 30_000);
+    run("store", 30_000);
 }
 
 #[test]
 fn drives_refuse_what_is_no_reply() {
-    attack("drives", 100_000);
+    run("drives", 100_000);
 }

@@ -74,7 +74,7 @@ pub(super) fn joint_friction_row<A: Arm<N, P>, const N: usize, const P: usize>(
 /// * P starts as the [prior covariance](prior_factor) for base parameters and as I for friction, scaled by the
 ///   [`StartDeviations`] of the set
 /// * process noise: a random walk of friction up to the prior variance; one column a row, in turn, with the noise of all.
-///   Friction changes by a part of itself, so the noise is in proportion to E\[p²\]. Nothing is forgotten exponentially
+///   Friction drifts in proportion to its size, so the noise is in proportion to E\[p²\]. Nothing is forgotten exponentially
 /// * R: measured variance of the joint, at which half of the |z| exceed 0.6745
 /// * ρ: [`noise_inflation`](LearnerConfig::noise_inflation); the update of P has ρ R in place of R
 /// * k: innovations beyond it count as k [Huber 1964]
@@ -247,7 +247,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let variance = self.filter.friction_variance(joint, place)?;
         if variance < 1.0 {
             let mean = self.parameters.friction.get(joint)?.get(place)? / own.get(place)?;
-            // Friction changes by a part of itself; a column that does not dissipate, a sensor's zero, by as much at any value.
+            // Friction drifts in proportion to its size; a column without bound, a sensor's zero, alike at any value.
             let square = match column.properties().bound {
                 FrictionBound::None => 1.0,
                 _ => (mean * mean + variance).min(1.0),

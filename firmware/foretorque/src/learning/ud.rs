@@ -320,7 +320,7 @@ fn add_column<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Dice;
+    use crate::Random;
 
     /// Filter after `rows` rows with the first friction column of joint 0 alone and varying noise, and its information
     /// `Σ φ²/R`.
@@ -361,11 +361,11 @@ mod tests {
     fn a_row_of_any_size_leaves_the_diagonal_positive() {
         for size in [1e-12, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12] {
             let mut filter = UdFilter::<2, 1>::new();
-            let (mut gain, mut dice) = (LinearParameters::filled(0.0), Dice(1));
+            let (mut gain, mut random) = (LinearParameters::filled(0.0), Random(1));
             for _ in 0..1000 {
                 let mut phi = LinearParameters::filled(0.0);
                 for phi in phi.friction[0].iter_mut().chain(&mut phi.rigid) {
-                    *phi = size * (1.0 + dice.roll() as f32);
+                    *phi = size * (1.0 + random.uniform() as f32);
                 }
                 filter.update(0, &phi, 0.02, &mut gain);
                 assert!(filter.diagonal().iter().all(|&d| d > 0.0), "{size}");
@@ -413,11 +413,11 @@ mod tests {
     fn a_million_rows_do_not_degrade_the_correlations() {
         const P: usize = 12;
         let (mut filter, mut wide) = (UdFilter::<1, P>::new(), Wide::<P>::new());
-        let (mut gain, mut dice) = (LinearParameters::filled(0.0), Dice(1));
+        let (mut gain, mut random) = (LinearParameters::filled(0.0), Random(1));
         for _ in 0..1_000_000 {
             let mut phi = LinearParameters::<1, P>::filled(0.0);
             for phi in &mut phi.rigid {
-                *phi = 1.0 + 0.5 * dice.roll() as f32;
+                *phi = 1.0 + 0.5 * random.uniform() as f32;
             }
             filter.update(0, &phi, 5.0, &mut gain);
             wide.update(&phi.rigid, 5.0);

@@ -245,7 +245,8 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
     }
     for pacing in [Pacing::Link, Pacing::SysTick] {
         for fault in timed_faults() {
-            all.push(Scenario::new(fault.0, move || {
+            let (name, ..) = fault;
+            all.push(Scenario::new(name, move || {
                 timed(pacing, fault, lengths.native_s * TICKS_PER_S, seed)
             }));
         }
@@ -271,10 +272,10 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
         (Board::Bulk, _) => lengths.bulk_s * TICKS_PER_S / 10,
         (Board::Usart, _) => lengths.usart_ticks,
     };
-    for damage in DAMAGES {
-        let ticks = ticks(damage.0);
-        all.push(Scenario::on(board, damage.1, move |link| {
-            damaged_line(link, damage, ticks, seed)
+    for (damage, name) in DAMAGES {
+        let ticks = ticks(damage);
+        all.push(Scenario::on(board, name, move |link| {
+            damaged_line(link, (damage, name), ticks, seed)
         }));
     }
     let few = ticks(Damage::Flips);
@@ -288,9 +289,9 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
         Board::Usart => lengths.times.div_ceil(20),
         _ => lengths.times,
     };
-    for bad in BAD_UPLOADS {
-        all.push(Scenario::on(board, bad.1, move |link| {
-            bad_uploads(link, bad, times, seed)
+    for (bad, name) in BAD_UPLOADS {
+        all.push(Scenario::on(board, name, move |link| {
+            bad_uploads(link, (bad, name), times, seed)
         }));
     }
 }

@@ -1,6 +1,7 @@
 //! A board under test, and the messages that it receives; tests of its link and telemetry.
 
 mod arming;
+mod keys;
 mod store;
 mod ticks;
 mod time;

@@ -350,15 +350,13 @@ pub const DISSIPATION_BOUNDS: [[f32; FRICTION_COLUMNS]; COUNTS[1]] = {
 pub const fn friction_prior(limits: &JointLimits, cogging_cycles: f32) -> FrictionParameters {
     let (mut sigma, mut k) = (FrictionParameters::NONE, 0);
     while k < FRICTION_COLUMNS {
-        let column = FrictionColumn::ALL[k];
-        let cogging = matches!(
-            column,
-            FrictionColumn::CoggingSine | FrictionColumn::CoggingCosine
-        );
-        if !cogging || cogging_cycles > 0.0 {
-            sigma.0[k] = column.properties().prior.deviation(limits);
-        }
+        sigma.0[k] = FrictionColumn::ALL[k].properties().prior.deviation(limits);
         k += 1;
     }
+    if cogging_cycles > 0.0 {
+        return sigma;
+    }
+    let [sine, cosine] = COGGING_COLUMNS;
+    (sigma.0[sine as usize], sigma.0[cosine as usize]) = (0.0, 0.0);
     sigma
 }

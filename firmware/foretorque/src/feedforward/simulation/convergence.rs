@@ -97,14 +97,14 @@ fn reports_of_uneven_age_are_learnt() {
     let unseen = Fourier::new(99, 15.0, 2.7);
     for every in [1, 2, 4] {
         let (mut board, mut plant) = Board::learning();
-        let (mut sent, mut newest, mut dice) = (VecDeque::new(), 0, Dice(5));
+        let (mut sent, mut newest, mut random) = (VecDeque::new(), 0, Random(5));
         let start = nrmse(board.active(), &unseen, AS_IT_IS).0;
         for tick in 0..30_000 {
             let mut sample = plant.sample(tick);
             sent.push_front(sample.measured);
             sent.truncate(4);
             let age = match every {
-                1 => (2.0 * (dice.roll() + 1.0)) as u32,
+                1 => (2.0 * (random.uniform() + 1.0)) as u32,
                 every => tick % every,
             };
             newest = newest.max(tick.saturating_sub(age));
@@ -131,7 +131,7 @@ fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
     for tick in 0..61_000 {
         let tau = true_torque(&still, AS_IT_IS);
         let measured = JointMeasurement {
-            q: still.q.map(|q| q + (plant.noise.roll() * 2.4e-5) as f32),
+            q: still.q.map(|q| q + (plant.noise.uniform() * 2.4e-5) as f32),
             tau: JointVector::from_fn(|j, _| {
                 let noise = 0.01 * f64::from(Ur5::LIMITS[j].torque) * plant.noise.normal();
                 (tau[j] + noise) as f32
@@ -207,7 +207,7 @@ fn a_description_without_rotors_and_friction_becomes_an_arm() {
 
 /// Set of a good identification: inertial parameters and friction 2 % off either way.
 fn identified(seed: u64) -> Set {
-    let mut dice = Dice(seed);
+    let mut random = Random(seed);
     let mut set = wrong_prior(1);
     set.rigid = Ur5::NOMINAL.into();
     let truth = VISCOUS.into_iter().zip(COULOMB);
@@ -217,7 +217,7 @@ fn identified(seed: u64) -> Set {
     }
     let friction = set.friction.iter_mut().flat_map(|friction| &mut friction.0);
     for value in set.rigid.iter_mut().chain(friction) {
-        *value *= if dice.roll() < 0.0 { 0.98 } else { 1.02 };
+        *value *= if random.uniform() < 0.0 { 0.98 } else { 1.02 };
     }
     set
 }

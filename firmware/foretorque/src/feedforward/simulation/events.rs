@@ -180,15 +180,15 @@ fn m12_a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it
 #[test]
 fn m12_a_push_is_no_payload_and_leaves_nothing_behind() {
     let mut cell = Cell::settled();
-    let mut dice = Dice(5);
+    let mut random = Random(5);
     let (mut during, mut after, mut alarms) = (0, 0, 0);
     for _ in 0..25 {
-        let uniform = |dice: &mut Dice| 0.5 * (dice.roll() + 1.0);
-        let touched = ((uniform(&mut dice) * 6.0) as usize).min(5);
-        let size = 0.1 + 0.25 * uniform(&mut dice);
+        let uniform = |random: &mut Random| 0.5 * (random.uniform() + 1.0);
+        let touched = ((uniform(&mut random) * 6.0) as usize).min(5);
+        let size = 0.1 + 0.25 * uniform(&mut random);
         // Up to so much on the joints below the link that is touched, just that on its own.
         let push: [f64; N] = core::array::from_fn(|j| {
-            let share = dice.roll();
+            let share = random.uniform();
             let limit = f64::from(Ur5::LIMITS[j].torque);
             match j.cmp(&touched) {
                 core::cmp::Ordering::Less => size * share * limit,
@@ -196,7 +196,7 @@ fn m12_a_push_is_no_payload_and_leaves_nothing_behind() {
                 core::cmp::Ordering::Greater => 0.0,
             }
         });
-        let length = (1000.0 * (0.1 + 2.4 * uniform(&mut dice))) as u32;
+        let length = (1000.0 * (0.1 + 2.4 * uniform(&mut random))) as u32;
         for k in 0..length + 2500 {
             let rise = (f64::from(k.min(length.saturating_sub(k))) / 10.0).min(1.0);
             cell.plant.push = push.map(|p| p * rise);

@@ -4,7 +4,7 @@
 //! width than the linear columns have, and cogging. Measured positions are rounded as a 17-bit encoder does; torque carries noise.
 
 use super::{FeedForward, FeedForwardConfig, ParameterSet, Torque, evaluate};
-use crate::Dice;
+use crate::Random;
 use crate::arm::Arm;
 use crate::arm::ur5::Ur5;
 use crate::dynamics::{BaseParameters, FrictionColumn, FrictionParameters, rnea};
@@ -63,11 +63,11 @@ struct Fourier {
 
 impl Fourier {
     fn new(seed: u64, period_s: f64, speed: f64) -> Self {
-        let mut dice = Dice(seed);
+        let mut random = Random(seed);
         let mut series = Self {
             base: core::f64::consts::TAU / period_s,
-            sine: core::array::from_fn(|_| core::array::from_fn(|_| dice.roll())),
-            cosine: core::array::from_fn(|_| core::array::from_fn(|_| dice.roll())),
+            sine: core::array::from_fn(|_| core::array::from_fn(|_| random.uniform())),
+            cosine: core::array::from_fn(|_| core::array::from_fn(|_| random.uniform())),
             centre: [0.0, -1.2, 0.3, 0.0, 0.0, 0.0],
         };
         let mut peak = [(0.0f64, 0.0f64); N];
@@ -131,10 +131,10 @@ fn loaded_torque(beta: &BaseParameters<P>, motion: &JointMotion<N>, drive: Drive
 
 /// Parameters that the board starts from: inertial parameters 20 % off either way, rotors −20 %, friction −40 %.
 fn wrong_prior(seed: u64) -> Set {
-    let mut dice = Dice(seed);
+    let mut random = Random(seed);
     let mut set = Set::nominal::<Ur5>(1);
     for (i, value) in set.rigid.iter_mut().enumerate() {
-        *value *= if i >= 36 || dice.roll() < 0.0 {
+        *value *= if i >= 36 || random.uniform() < 0.0 {
             0.8
         } else {
             1.2
@@ -151,7 +151,7 @@ fn wrong_prior(seed: u64) -> Set {
 /// The measurement of `tick` on the learning trajectory, with the desired motion it belongs to.
 struct Plant {
     trajectory: Fourier,
-    noise: Dice,
+    noise: Random,
     drive: Drive,
     /// Base parameters with what is in the hand.
     body: BaseParameters<P>,
@@ -163,7 +163,7 @@ impl Plant {
     fn new(drive: Drive) -> Self {
         Self {
             trajectory: Fourier::new(3, 10.0, 2.4),
-            noise: Dice(77),
+            noise: Random(77),
             drive,
             body: Ur5::NOMINAL.into(),
             push: [0.0; N],
@@ -175,7 +175,7 @@ impl Plant {
         let desired = self.trajectory.motion(f64::from(tick) * PERIOD);
         let tau = loaded_torque(&self.body, &desired, self.drive);
         let push = self.push;
-        let noisy = |j: usize, noise: &mut Dice| {
+        let noisy = |j: usize, noise: &mut Random| {
             tau[j] - push[j] + 0.01 * f64::from(Ur5::LIMITS[j].torque) * noise.normal()
         };
         let measured = JointMeasurement {

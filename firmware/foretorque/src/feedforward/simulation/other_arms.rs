@@ -1,7 +1,7 @@
 //! Learning on a 7-joint arm that the learner was not tuned on: motor currents or link-side torque sensors, disturbances that
 //! last for tenths of a second.
 
-use crate::Dice;
+use crate::Random;
 use crate::arm::Arm;
 use crate::arm::panda::{JOINTS as N, PARAMETERS as P, Panda};
 use crate::dynamics::{FrictionColumn, FrictionParameters};
@@ -47,9 +47,9 @@ fn truth(friction: f32) -> Set {
 
 /// `set` with its base parameters off by `part` either way.
 fn off(mut set: Set, part: f32) -> Set {
-    let mut dice = Dice(3);
+    let mut random = Random(3);
     for value in &mut set.rigid {
-        *value *= if dice.roll() < 0.0 {
+        *value *= if random.uniform() < 0.0 {
             1.0 - part
         } else {
             1.0 + part
@@ -81,7 +81,7 @@ fn learn(truth: &Set, start: &Set, seconds: u32) -> Vec<f64> {
     let mut learner = Learner::<Panda, N, P>::new(config, *start).unwrap();
     let mut exchange = Exchange::new();
     feedforward.set_learning(true);
-    let (mut dice, mut drift, mut curve) = (Dice(9), [0.0; N], Vec::new());
+    let (mut random, mut drift, mut curve) = (Random(9), [0.0; N], Vec::new());
     let before = error(start, truth);
     for tick in 0..1000 * seconds {
         let desired = motion(f64::from(tick) * 1e-3, 0.0, 1.0);
@@ -89,8 +89,9 @@ fn learn(truth: &Set, start: &Set, seconds: u32) -> Vec<f64> {
         for j in 0..N {
             let limit = f64::from(Panda::LIMITS[j].torque);
             // 1 % of the limit for 0.3 s, and half of that as white noise.
-            drift[j] += -drift[j] / 300.0 + 0.01 * limit * (2.0f64 / 300.0).sqrt() * dice.normal();
-            tau[j] += (drift[j] + 0.005 * limit * dice.normal()) as f32;
+            drift[j] +=
+                -drift[j] / 300.0 + 0.01 * limit * (2.0f64 / 300.0).sqrt() * random.normal();
+            tau[j] += (drift[j] + 0.005 * limit * random.normal()) as f32;
         }
         let q = desired.q.map(|q| ((q * 20_000.0).round()) / 20_000.0);
         let measured = Some(JointMeasurement { q, tau });

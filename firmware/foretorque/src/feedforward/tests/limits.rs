@@ -1,7 +1,7 @@
 //! Bounds of the torque for any motion, any model and any change of model, and the flags that report them.
 
 use super::*;
-use crate::Dice;
+use crate::Random;
 
 #[test]
 fn torque_rises_from_zero_at_the_slew_limit() {
@@ -149,10 +149,10 @@ fn the_torque_is_finite_and_limited_for_any_bits() {
 #[test]
 fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_the_limit() {
     for seed in 1..=40u32 {
-        let mut dice = Dice(u64::from(seed));
-        let mut dice = || dice.roll() as f32;
+        let mut random = Random(u64::from(seed));
+        let mut random = || random.uniform() as f32;
         let path: [[f32; 3]; N] =
-            core::array::from_fn(|_| [dice() * 3.0, 1.0 + dice(), 0.4 + 0.4 * dice()]);
+            core::array::from_fn(|_| [random() * 3.0, 1.0 + random(), 0.4 + 0.4 * random()]);
         let at = |tick: u32| {
             let angle = |j: usize| path[j][0] + path[j][1] * tick as f32 * 1e-3;
             let [speed, size] = [1, 2].map(|k| move |j: usize| path[j][k]);
@@ -168,21 +168,21 @@ fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_th
         let mut before: Option<(JointVector<N>, JointVector<N>)> = None;
         for now in 0..600 {
             // A round closes three ticks before its set is taken; some rounds bring nothing new.
-            if now >= 60 && now % 6 == 0 && dice() > 0.3 {
+            if now >= 60 && now % 6 == 0 && random() > 0.3 {
                 let mut new = set();
                 for value in new.rigid.iter_mut() {
-                    *value *= 1.0 + 0.5 * dice();
+                    *value *= 1.0 + 0.5 * random();
                 }
                 for (joint, friction) in new.friction.iter_mut().enumerate() {
                     friction[FrictionColumn::Coulomb] +=
-                        0.05 * dice().abs() * Ur5::LIMITS[joint].torque;
-                    new.network[joint].output_bias[0] = 0.1 * dice();
+                        0.05 * random().abs() * Ur5::LIMITS[joint].torque;
+                    new.network[joint].output_bias[0] = 0.1 * random();
                 }
                 let mut publication = finished(now - 1, new);
                 publication.range = WIDE;
-                publication.commit = dice() > 0.5;
+                publication.commit = random() > 0.5;
                 for (place, nominal) in publication.payload.iter_mut().zip(Ur5::NOMINAL) {
-                    *place = 0.1 * dice() * nominal;
+                    *place = 0.1 * random() * nominal;
                 }
                 exchange.published = Some(publication);
             }

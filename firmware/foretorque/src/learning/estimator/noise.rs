@@ -129,16 +129,16 @@ impl NoiseCorrelation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Dice;
+    use crate::Random;
 
     #[test]
     fn the_factor_is_that_of_the_noise() {
         // Variance of a mean of an autoregressive noise: (1 + a) / (1 − a).
         for (a, from, to) in [(0.0f32, 1.0, 1.7), (0.6, 2.5, 6.0), (0.9, 11.0, 28.0)] {
-            let (mut found, mut dice, mut z) = (NoiseCorrelation::new(), Dice(3), 0.0);
+            let (mut found, mut random, mut z) = (NoiseCorrelation::new(), Random(3), 0.0);
             assert_eq!(found.factor(), FIRST.0);
             for _ in 0..83 * 400 {
-                z = a * z + dice.roll() as f32;
+                z = a * z + random.uniform() as f32;
                 found.add(z, 1.0, 83.0);
             }
             let factor = found.factor();

@@ -1,6 +1,6 @@
 use super::noise::EFFECTIVE_ROWS;
 use super::*;
-use crate::Dice;
+use crate::Random;
 use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use crate::dynamics::DISSIPATION_BOUNDS;
 use crate::dynamics::{FrictionColumn, FrictionParameters};
@@ -157,7 +157,7 @@ fn the_initial_covariance_is_that_of_the_prior_factors() {
 }
 
 /// Row and noisy torque of an arm 10 % heavier than its description, on sines without common period, at most 2 rad/s.
-fn row_and_torque(tick: u32, joint: usize, dice: &mut Dice) -> (LinearParameters<N, P>, f32) {
+fn row_and_torque(tick: u32, joint: usize, random: &mut Random) -> (LinearParameters<N, P>, f32) {
     let t = f64::from(tick) * 1e-3;
     let wave = |j: usize| {
         let w = 1.1 + 0.37 * j as f64;
@@ -174,7 +174,7 @@ fn row_and_torque(tick: u32, joint: usize, dice: &mut Dice) -> (LinearParameters
     let row = torque_row::<Ur5, N, P>(joint, &ConditionedSample { motion, tau });
     truth.friction = [friction_truth().0; N];
     // The torque of a row is a mean.
-    let noise = 0.01 * dice.normal() / (AVERAGED as f64).sqrt();
+    let noise = 0.01 * random.normal() / (AVERAGED as f64).sqrt();
     tau[joint] = row.dot(&truth) + noise as f32 * Ur5::LIMITS[joint].torque;
     (row, tau[joint])
 }
@@ -196,11 +196,11 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
         effective_rows: [f64::from(FIRST_ROWS); N],
         visits: [0; N],
     };
-    let (mut worst, mut dice) = (0.0f64, Dice(7));
+    let (mut worst, mut random) = (0.0f64, Random(7));
     for tick in 0..100_000 {
         let joint = tick as usize % N;
         let limit = Ur5::LIMITS[joint].torque;
-        let (row, tau) = row_and_torque(tick, joint, &mut dice);
+        let (row, tau) = row_and_torque(tick, joint, &mut random);
         let factor = f64::from(config.noise_inflation);
         let before = estimator.correct(&config, joint, limit, &row, tau);
         assert!(before.is_some());
@@ -233,10 +233,10 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
 fn friction_prediction_variance_is_that_of_a_friction_row() {
     let mut filter = UdFilter::<N, P>::new();
     let mut gain = LinearParameters::filled(0.0);
-    let mut dice = Dice(3);
+    let mut random = Random(3);
     for tick in 0..600 {
         let joint = tick as usize % N;
-        let (row, _) = row_and_torque(tick, joint, &mut dice);
+        let (row, _) = row_and_torque(tick, joint, &mut random);
         filter.update(joint, &row, 1.0, &mut gain);
     }
     for joint in 0..N {
@@ -255,14 +255,14 @@ fn friction_prediction_variance_is_that_of_a_friction_row() {
 fn frictionless(
     tick: u32,
     joint: usize,
-    dice: &mut Dice,
+    random: &mut Random,
     drift: &mut f32,
 ) -> (LinearParameters<N, P>, f32) {
-    let (row, _) = row_and_torque(tick, joint, dice);
+    let (row, _) = row_and_torque(tick, joint, random);
     let rigid = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1))
         .rigid
         .map(|theta| 1.1 * theta);
-    *drift = 0.98 * *drift + 0.02 * 6.0 * dice.roll() as f32;
+    *drift = 0.98 * *drift + 0.02 * 6.0 * random.uniform() as f32;
     let tau = dot(&row.rigid, &rigid) + 0.02 * *drift * Ur5::LIMITS[joint].torque;
     (row, tau)
 }
@@ -275,12 +275,12 @@ fn friction_at_its_bound_leaves_correlated_columns_in_place() {
         let prior = ParameterSet::nominal::<Ur5>(1);
         let sigma = config.sigma;
         let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
-        let (mut dice, mut drifts) = (Dice(5), [0.0; N]);
+        let (mut random, mut drifts) = (Random(5), [0.0; N]);
         let mut worst = 0.0f32;
         for tick in 0..240_000 {
             let joint = tick as usize % N;
             let limit = Ur5::LIMITS[joint].torque;
-            let (row, tau) = frictionless(tick, joint, &mut dice, &mut drifts[joint]);
+            let (row, tau) = frictionless(tick, joint, &mut random, &mut drifts[joint]);
             let correction = estimator.correct(&config, joint, limit, &row, tau);
             assert!(correction.is_some());
             let friction = estimator.parameters().friction[joint];
@@ -308,9 +308,9 @@ fn process_noise_is_that_of_the_friction_and_constant_for_the_offset() {
     // Growth of the variances of Coulomb friction and offset of joint 0 in 500 rows of zeros, over the process noise.
     let growth = |friction: FrictionParameters| {
         let mut estimator = Estimator::<N, P>::new::<Ur5>(&ParameterSet::nominal::<Ur5>(1));
-        let mut dice = Dice(5);
+        let mut random = Random(5);
         for tick in (0..60_000).step_by(N) {
-            let (row, tau) = row_and_torque(tick, 0, &mut dice);
+            let (row, tau) = row_and_torque(tick, 0, &mut random);
             let tau = tau + dot(&row.friction[0], &friction.0)
                 - dot(&row.friction[0], &friction_truth().0);
             assert!(estimator.correct(&config, 0, limit, &row, tau).is_some());

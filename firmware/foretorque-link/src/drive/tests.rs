@@ -1,0 +1,369 @@
+//! A board with motor stage and encoder under test.
+
+use super::*;
+use crate::hal::{
+    AbsoluteEncoder, Chip, Direction, EncoderConfig, EncoderError, OutputError, TorqueScale,
+};
+use crate::safety::SafetyState;
+use crate::session::tests::{self as session, ACK, N, nack, torque};
+use crate::wire::{BoardMessage, HostMessage, NackReason, Pacing, SampleFrame, TorqueFrame};
+use core::convert::Infallible;
+use embedded_hal::digital::ErrorType;
+use embedded_hal::spi::{ErrorKind, Operation, SpiDevice};
+use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
+use foretorque::limits::Flags;
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// The shoulder, which carries the arm.
+const JOINT: usize = 1;
+const SCALE: TorqueScale = TorqueScale {
+    gain_nm_per_a: 12.5,
+    full_scale_a: 16.0,
+    limit_nm: 150.0,
+};
+const FULL_SCALE_NM: f32 = 200.0;
+
+/// State of the motor stage's pins and output.
+#[derive(Default)]
+struct Bench {
+    enabled: bool,
+    fault: bool,
+    levels: Vec<f32>,
+    output_fails: bool,
+}
+
+/// Every pin and the output of the motor stage.
+#[derive(Clone, Default)]
+struct Pins(Rc<RefCell<Bench>>);
+
+impl ErrorType for Pins {
+    type Error = Infallible;
+}
+
+impl OutputPin for Pins {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.0.borrow_mut().enabled = false;
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
+        self.0.borrow_mut().enabled = true;
+        Ok(())
+    }
+}
+
+impl InputPin for Pins {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.0.borrow().fault)
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(self.0.borrow().fault)
+    }
+}
+
+impl TorqueOutput for Pins {
+    fn command(&mut self, level: f32) -> Result<(), OutputError> {
+        let mut bench = self.0.borrow_mut();
+        if bench.output_fails {
+            return Err(OutputError::Bus(ErrorKind::Other));
+        }
+        bench.levels.push(level);
+        Ok(())
+    }
+}
+
+/// The bus of a chip that the test holds too.
+#[derive(Clone)]
+struct Bus(Rc<RefCell<Chip>>);
+
+impl embedded_hal::spi::ErrorType for Bus {
+    type Error = ErrorKind;
+}
+
+impl SpiDevice for Bus {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
+        self.0.borrow_mut().transaction(operations)
+    }
+}
+
+/// A board with a stage and an encoder, in the order of calls of its firmware.
+struct Board {
+    board: session::Board,
+    stage: JointStage<Pins, Pins, Pins>,
+    encoder: JointEncoder<Bus>,
+    chip: Rc<RefCell<Chip>>,
+    bench: Rc<RefCell<Bench>>,
+}
+
+impl Board {
+    fn new(turn: TurnReference) -> Self {
+        let (pins, chip) = (Pins::default(), Rc::new(RefCell::new(Chip::new(0))));
+        let stage = MotorStage::new(pins.clone(), pins.clone(), pins.clone(), SCALE).unwrap();
+        let config = EncoderConfig {
+            zero_counts: 0,
+            direction: Direction::Same,
+            ratio: 1.0,
+            largest_step: 1000,
+        };
+        let encoder = AbsoluteEncoder::new(Bus(chip.clone()), config).unwrap();
+        Self {
+            board: session::Board::new(),
+            stage: JointStage::new(stage, JOINT),
+            encoder: JointEncoder::new(encoder, JOINT, turn),
+            chip,
+            bench: pins.0,
+        }
+    }
+
+    fn armed(turn: TurnReference) -> Self {
+        let mut board = Self::new(turn);
+        for _ in 0..5 {
+            assert_eq!(board.sample(&still(0.0)).total, [0.0; N]);
+        }
+        assert_eq!(board.request(HostMessage::Arm), ACK);
+        board.samples(40);
+        assert!(board.enabled());
+        board
+    }
+
+    fn request(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
+        self.stage.check(&mut self.board.session);
+        let frame = self.board.numbered(&message);
+        let sensor = &mut self.encoder;
+        let mut replies = self.board.output(|session, mailboxes, out| {
+            session.receive(&frame, mailboxes, out, sensor);
+        });
+        self.stage.apply(&mut self.board.session);
+        replies.remove(0).1
+    }
+
+    /// One period of the timer.
+    fn timer(&mut self) {
+        let sensor = &mut self.encoder;
+        self.board.output(|session, mailboxes, out| {
+            session.timer_tick(mailboxes, out, sensor);
+        });
+        self.stage.apply(&mut self.board.session);
+    }
+
+    fn sample(&mut self, sample: &JointSample<N>) -> TorqueFrame<N> {
+        torque(&self.request(HostMessage::Sample(SampleFrame::new(sample))))
+    }
+
+    /// Samples of the arm at rest.
+    fn samples(&mut self, count: u32) {
+        (0..count).for_each(|_| _ = self.sample(&still(0.0)));
+    }
+
+    #[track_caller]
+    fn assert_refused(&mut self, reason: SafetyReason) {
+        let refused = nack(NackReason::Unsafe(reason));
+        assert_eq!(self.request(HostMessage::Arm), refused);
+    }
+
+    fn enabled(&self) -> bool {
+        self.bench.borrow().enabled
+    }
+
+    fn level(&self) -> f32 {
+        *self.bench.borrow().levels.last().unwrap()
+    }
+}
+
+/// The stretched arm at rest; the host measures its joint at `host_q`, rad.
+fn still(host_q: f32) -> JointSample<N> {
+    let mut measured = JointMeasurement::zero();
+    measured.q[JOINT] = host_q;
+    JointSample {
+        desired: JointMotion::zero(),
+        measured: Some(measured),
+    }
+}
+
+const NEAR: TurnReference = TurnReference::Near(0.0);
+
+#[test]
+fn the_position_of_the_encoder_replaces_that_of_the_sample() {
+    // The host measures half a radian, where only the encoder allows arming, then zero, where it does not.
+    let mut board = Board::new(NEAR);
+    (0..5).for_each(|_| _ = board.sample(&still(0.5)));
+    assert_eq!(board.request(HostMessage::Arm), ACK);
+    let mut board = Board::new(NEAR);
+    board.chip.borrow_mut().angle = 1304;
+    board.samples(5);
+    board.assert_refused(SafetyReason::TooFar);
+}
+
+#[test]
+fn a_failed_reading_drops_the_measurement_only() {
+    let mut board = Board::armed(NEAR);
+    let torque = board.sample(&still(0.0)).total;
+    board.chip.borrow_mut().flips = (0, 0, 1);
+    let reply = board.sample(&still(0.0));
+    assert_eq!(reply.safety.state, SafetyState::Armed);
+    assert_eq!(reply.safety.reason, SafetyReason::Encoder);
+    assert!(Flags(reply.flags).contains(Flags::NO_MEASUREMENT));
+    assert_eq!(reply.total, torque);
+    assert_eq!(board.encoder.last_error(), Some(EncoderError::Parity));
+    let reply = board.sample(&still(0.0));
+    assert_eq!(reply.safety.reason, SafetyReason::None);
+    assert!(!Flags(reply.flags).contains(Flags::NO_MEASUREMENT));
+    assert_eq!(board.encoder.last_error(), None);
+}
+
+#[test]
+fn a_missing_encoder_ends_the_torque_and_latches() {
+    for (level, error) in [
+        (0x0000, EncoderError::NotReady),
+        (0xffff, EncoderError::Refused(7)),
+    ] {
+        let mut board = Board::armed(NEAR);
+        board.chip.borrow_mut().level = Some(level);
+        let mut ticks = 0;
+        while board.sample(&still(0.0)).safety.state == SafetyState::Armed {
+            ticks += 1;
+        }
+        assert!((49..=52).contains(&ticks), "{ticks}");
+        board.samples(20);
+        assert!(!board.enabled());
+        let safety = board.board.session.safety();
+        let latched = (SafetyState::Fault, SafetyReason::Encoder);
+        assert_eq!((safety.state, safety.reason), latched);
+        let reported = (0..4).any(|_| {
+            board.sample(&still(0.0));
+            board.encoder.last_error() == Some(error)
+        });
+        assert!(reported, "{level:#x}");
+    }
+}
+
+#[test]
+fn a_lost_turn_is_restored_at_rest_only() {
+    let mut board = Board::armed(NEAR);
+    board.chip.borrow_mut().angle = 1500;
+    board.sample(&still(0.0));
+    assert_eq!(board.encoder.last_error(), Some(EncoderError::Jump));
+    board.chip.borrow_mut().angle = 0;
+    while board.board.session.torque_enabled() {
+        board.sample(&still(0.0));
+        assert_eq!(board.encoder.last_error(), Some(EncoderError::NoReference));
+    }
+    board.sample(&still(0.0));
+    assert_eq!(board.encoder.last_error(), None);
+    assert_eq!(board.request(HostMessage::ClearFault), ACK);
+    board.samples(5);
+    assert_eq!(board.request(HostMessage::Arm), ACK);
+}
+
+#[test]
+fn behind_a_gear_the_sample_gives_the_turn() {
+    let mut board = Board::new(TurnReference::FromSample);
+    let mut unmeasured = still(0.0);
+    unmeasured.measured = None;
+    for _ in 0..5 {
+        let safety = board.sample(&unmeasured).safety;
+        assert_eq!(safety.reason, SafetyReason::Encoder);
+    }
+    assert_eq!(board.encoder.last_error(), Some(EncoderError::NoReference));
+    (0..5).for_each(|_| _ = board.sample(&still(0.1)));
+    assert_eq!(board.encoder.last_error(), None);
+    assert_eq!(board.request(HostMessage::Arm), ACK);
+}
+
+#[test]
+fn a_tick_of_the_timer_reads_the_encoder_too() {
+    let mut board = Board::new(NEAR);
+    board.samples(5);
+    board.board.pace(Pacing::SysTick);
+    let before = board.chip.borrow().frames;
+    (0..10).for_each(|_| board.timer());
+    assert_eq!(board.chip.borrow().frames, before + 20);
+}
+
+#[track_caller]
+fn assert_off(board: &Board) {
+    assert!(!board.enabled());
+    assert_eq!(board.level(), 0.0);
+}
+
+#[test]
+fn an_armed_stage_gets_the_torque_of_its_joint() {
+    let mut board = Board::armed(NEAR);
+    for k in 0..200 {
+        let mut sample = still(0.0);
+        sample.desired.qd[JOINT] = (k as f32 * 0.05).sin() * 0.2;
+        sample.desired.qdd[JOINT] = (k as f32 * 0.05).cos() * 4.0;
+        let torque = board.sample(&sample).total[JOINT];
+        assert!((board.level() - torque / FULL_SCALE_NM).abs() < 1e-6, "{k}");
+        assert!(torque.abs() > 1.0, "{torque}");
+    }
+    assert_eq!(board.request(HostMessage::Disarm), ACK);
+    let mut ramp = 0;
+    while board.sample(&still(0.0)).safety.state == SafetyState::RampDown {
+        assert!(board.enabled(), "the torque is not zero yet");
+        ramp += 1;
+    }
+    assert!(ramp > 1, "it ramps");
+    assert_off(&board);
+}
+
+#[test]
+fn a_tick_sends_one_command_and_other_messages_none() {
+    let mut board = Board::armed(NEAR);
+    let before = board.bench.borrow().levels.len();
+    for k in 1..=10 {
+        let mut sample = still(0.0);
+        sample.desired.qdd[JOINT] = k as f32 * 0.1;
+        board.sample(&sample);
+        board.request(HostMessage::Statistics);
+        assert_eq!(board.bench.borrow().levels.len(), before + k);
+    }
+}
+
+#[test]
+fn a_stage_with_a_fault_is_off_and_reported_in_the_same_tick() {
+    let mut board = Board::armed(NEAR);
+    board.bench.borrow_mut().fault = true;
+    let reply = board.sample(&still(0.0));
+    assert_off(&board);
+    assert_eq!(reply.total, [0.0; N]);
+    assert_eq!(reply.safety.state, SafetyState::Fault);
+    assert_eq!(reply.safety.reason, SafetyReason::Drive);
+    assert_eq!(board.stage.last_error(), Some(StageError::Fault));
+    // A lasting fault latches again in the next tick.
+    assert_eq!(board.request(HostMessage::ClearFault), ACK);
+    board.assert_refused(SafetyReason::Drive);
+    board.bench.borrow_mut().fault = false;
+    board.assert_refused(SafetyReason::Drive);
+    assert_eq!(board.request(HostMessage::ClearFault), ACK);
+    assert_eq!(board.request(HostMessage::Arm), ACK);
+    assert!(board.enabled());
+}
+
+#[test]
+fn a_fault_at_boot_refuses_to_arm() {
+    let mut board = Board::new(NEAR);
+    board.bench.borrow_mut().fault = true;
+    for _ in 0..5 {
+        let safety = board.sample(&still(0.0)).safety;
+        assert_eq!(safety.reason, SafetyReason::Drive);
+    }
+    board.assert_refused(SafetyReason::Drive);
+    assert!(!board.enabled());
+}
+
+#[test]
+fn a_command_that_fails_switches_off_and_latches() {
+    let mut board = Board::armed(NEAR);
+    board.bench.borrow_mut().output_fails = true;
+    let mut sample = still(0.0);
+    sample.desired.qdd[JOINT] = 1.0;
+    board.sample(&sample);
+    assert!(!board.enabled());
+    let after = board.sample(&still(0.0));
+    assert_eq!(after.total, [0.0; N]);
+    assert_eq!(after.safety.reason, SafetyReason::Stage);
+    board.assert_refused(SafetyReason::Stage);
+}

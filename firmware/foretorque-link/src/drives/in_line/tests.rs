@@ -1,0 +1,293 @@
+//! Frames that pass a board in line: foreign ones unchanged and in order, commands with the torque added.
+
+use super::super::tests::{PROTOCOLS, profile};
+use super::super::{Carry, Frames, JointReply, Order, Resolution};
+use super::*;
+
+const TIMEOUT_US: u32 = 5000;
+
+/// Xorshift64*.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
+    }
+
+    fn share(&mut self) -> f32 {
+        (self.next() >> 40) as f32 / (1 << 24) as f32
+    }
+}
+
+/// Damiao, CyberGear and ODrive, each with an identifier of its own.
+fn arm() -> [DriveProfile; 3] {
+    let mut arm = [PROTOCOLS[1].0, PROTOCOLS[2].0, PROTOCOLS[7].0].map(profile);
+    for (profile, id) in arm.iter_mut().zip([1, 2, 3]) {
+        profile.id = id;
+    }
+    arm
+}
+
+/// The frame of a motion command.
+fn sent(profile: &DriveProfile, command: &JointCommand) -> Frame {
+    let mut frames = Frames::new();
+    let _ = profile.command(command, &mut Carry::default(), &mut frames);
+    frames[0]
+}
+
+fn torque_of(profile: &DriveProfile, frame: &Frame) -> f32 {
+    match profile.accept(frame) {
+        Some(Request::Command(command)) => command.torque,
+        other => panic!("{frame:?}: {other:?}"),
+    }
+}
+
+/// A frame of the mix, and the joint whose motion command it is.
+fn mixed(arm: &[DriveProfile; 3], random: &mut Random) -> (Frame, Option<usize>) {
+    let joint = (random.next() % 3) as usize;
+    let (profile, mut frames) = (&arm[joint], Frames::new());
+    match random.next() % 4 {
+        0 => {
+            let command = JointCommand {
+                position: random.share(),
+                torque: 12.0 * random.share() - 6.0,
+                kp: 50.0 * random.share(),
+                ..JointCommand::default()
+            };
+            return (sent(profile, &command), Some(joint));
+        }
+        1 => {
+            use Order::{ClearFault, Disable, Enable, SetZero};
+            let order = [Enable, Disable, ClearFault, SetZero][(random.next() % 4) as usize];
+            profile.order(order, &mut frames);
+        }
+        2 => profile.reply(&JointReply::default(), &mut frames),
+        _ => {
+            let data = random.next().to_le_bytes();
+            let bytes = &data[..(random.next() % 9) as usize];
+            let id = random.next() as u32;
+            let frame = Frame::new(id, random.next().is_multiple_of(2), bytes);
+            let own = arm
+                .iter()
+                .position(|profile| matches!(profile.accept(&frame), Some(Request::Command(_))));
+            return (frame, own);
+        }
+    }
+    (frames[0], None)
+}
+
+#[test]
+fn a_million_mixed_frames_pass_in_order() {
+    let (arm, mut random) = (arm(), Random(7));
+    let mut board = InLine::new(arm.map(Some), TIMEOUT_US);
+    // As on the board: one queue each way, drained a few frames at a time.
+    let mut queue = heapless::Deque::<Frame, 16>::new();
+    let (mut expected, mut foreign, mut changed) = (std::collections::VecDeque::new(), 0, 0);
+    let added = [1.5, -0.75, 0.25];
+    for number in 0..1_000_000_u32 {
+        let now_us = number.wrapping_mul(100);
+        if number.is_multiple_of(10) {
+            board.set(&added, now_us);
+        }
+        let (sent, joint) = mixed(&arm, &mut random);
+        let mut passed = sent;
+        if random.next().is_multiple_of(2) {
+            let seen = board.to_drives(&mut passed, now_us);
+            assert_eq!(seen.map(|(joint, _)| joint), joint, "{sent:?}");
+            match joint {
+                Some(joint) => {
+                    let profile = &arm[joint];
+                    let want = (torque_of(profile, &sent) + added[joint]).clamp(-9.0, 9.0);
+                    let got = torque_of(profile, &passed);
+                    let near = (got - want).abs() < 0.01 || torque_of(profile, &sent).abs() > 8.9;
+                    assert!(near, "{sent:?} {passed:?}: {got} for {want}");
+                    changed += 1;
+                }
+                None => {
+                    assert_eq!(passed, sent);
+                    foreign += 1;
+                }
+            }
+        } else {
+            foreign += 1;
+        }
+        queue.push_back(passed).unwrap();
+        expected.push_back(passed);
+        while !queue.is_empty() && (queue.is_full() || !random.next().is_multiple_of(3)) {
+            assert_eq!(queue.pop_front(), expected.pop_front());
+        }
+    }
+    let many = foreign > 600_000 && changed > 100_000;
+    assert!(many, "{foreign} {changed}");
+}
+
+#[test]
+fn without_a_young_torque_nothing_changes() {
+    let (arm, mut random) = (arm(), Random(9));
+    let mut cases = [(); 5].map(|()| InLine::new(arm.map(Some), TIMEOUT_US));
+    let ([_, cleared, late, rubbish, zero], now) = (&mut cases, 1_000_000);
+    cleared.set(&[1.0; 3], now);
+    cleared.clear();
+    late.set(&[1.0; 3], now - TIMEOUT_US - 1);
+    rubbish.set(&[1.0, f32::NAN, 0.0], now);
+    zero.set(&[0.0; 3], now);
+    for _ in 0..50_000 {
+        let (sent, _) = mixed(&arm, &mut random);
+        for board in &mut cases {
+            let mut passed = sent;
+            let _ = board.to_drives(&mut passed, now);
+            assert_eq!(passed, sent);
+        }
+    }
+    assert!(cases.iter().all(|board| board.altered() == 0));
+    // A torque that has expired stays off when the clock of 32 bits comes round.
+    let [_, _, mut late, ..] = cases;
+    let sent = sent(&arm[0], &JointCommand::default());
+    let mut passed = sent;
+    let _ = late.to_drives(&mut passed, now - TIMEOUT_US);
+    assert_eq!(passed, sent);
+}
+
+#[test]
+fn added_torque_has_no_bias_and_makes_no_order() {
+    let (arm, mut random) = (arm(), Random(11));
+    let mut board = InLine::new(arm.map(Some), TIMEOUT_US);
+    board.set(&[0.0011; 3], 0);
+    for (joint, profile) in arm.iter().enumerate() {
+        let sent = sent(profile, &JointCommand::default());
+        let (before, mut sum) = (torque_of(profile, &sent), 0.0);
+        for _ in 0..4096 {
+            let mut passed = sent;
+            let _ = board.to_drives(&mut passed, 0);
+            sum += f64::from(torque_of(profile, &passed) - before);
+        }
+        let mean = sum / 4096.0;
+        assert!((mean - 0.0011).abs() < 1e-5, "joint {joint}: {mean}");
+    }
+    // Motion commands at full scale next to the bytes of an order.
+    for torque in [9.0, -9.0] {
+        board.set(&[torque; 3], 0);
+        for _ in 0..10_000 {
+            let data = random.next().to_le_bytes().map(|byte| byte | 0xfe);
+            let sent = Frame::standard(1, &data);
+            let mut passed = sent;
+            let was_command = board.to_drives(&mut passed, 0).is_some();
+            let is_command = matches!(arm[0].accept(&passed), Some(Request::Command(_)));
+            assert_eq!(was_command, is_command, "{sent:?} {passed:?}");
+        }
+    }
+}
+
+/// Port with three mailboxes, and a bus that stands still now and then.
+#[derive(Default)]
+struct Wire {
+    arrived: std::collections::VecDeque<Frame>,
+    mailboxes: std::vec::Vec<Frame>,
+    left: std::vec::Vec<Frame>,
+}
+
+impl Port for Wire {
+    fn receive(&mut self) -> Option<Frame> {
+        self.arrived.pop_front()
+    }
+
+    fn send(&mut self, frame: &Frame) -> bool {
+        let room = self.mailboxes.len() < 3;
+        self.mailboxes.extend(room.then_some(*frame));
+        room
+    }
+}
+
+#[test]
+fn a_bridge_passes_both_ways_in_order_and_outlives_a_dead_bus() {
+    let (arm, mut random) = (arm(), Random(13));
+    let line = InLine::new(arm.map(Some), TIMEOUT_US);
+    let mut bridge = Bridge::new([Wire::default(), Wire::default()], Some(line));
+    let (mut sent, mut seen) = ([std::vec![], std::vec![]], [0, 0]);
+    let mut rounds = |bridge: &mut Bridge<Wire, 3>, count: u32, alive: bool| {
+        for round in 0..count {
+            let (frame, _) = mixed(&arm, &mut random);
+            let way = (random.next() % 2) as usize;
+            bridge.ports()[way].arrived.push_back(frame);
+            sent[way].push(frame);
+            bridge.pass(round.wrapping_mul(100), |port, _| {
+                seen[usize::from(port)] += 1;
+            });
+            let [host, drives] = bridge.ports();
+            host.left.append(&mut host.mailboxes);
+            if alive {
+                drives.left.append(&mut drives.mailboxes);
+            }
+        }
+    };
+    rounds(&mut bridge, 50_000, true);
+    // The bus of the drives is off: the host's side goes on, the newest frames wait.
+    rounds(&mut bridge, 1000, false);
+    let dropped = bridge.lost() as usize;
+    rounds(&mut bridge, 50_000, true);
+    assert_eq!(seen, sent.each_ref().map(std::vec::Vec::len));
+    assert!((400..600).contains(&dropped) && bridge.lost() as usize - dropped < 16);
+    let lost = bridge.lost() as usize;
+    let ([host, drives], [down, up]) = (bridge.ports(), sent);
+    assert_eq!(host.left, up);
+    // What left is what arrived, in order, without those that were dropped.
+    let mut arrived = down.iter();
+    let mut left = drives.left.iter();
+    assert!(left.all(|frame| arrived.any(|sent| sent == frame)));
+    assert_eq!(drives.left.len() + lost, down.len());
+}
+
+#[test]
+fn a_master_sends_its_own_frames_and_passes_none() {
+    let mut bridge = Bridge::<Wire, 3>::new([Wire::default(), Wire::default()], None);
+    let frame = |id| Frame::standard(id, &[0; 8]);
+    bridge.ports()[0].arrived.push_back(frame(1));
+    for id in 2..6 {
+        bridge.send(1, frame(id));
+    }
+    let mut seen = std::vec![];
+    bridge.pass(0, |port, frame| seen.push((port, *frame)));
+    assert_eq!(seen, [(0, frame(1))]);
+    let [host, drives] = bridge.ports();
+    assert!(host.mailboxes.is_empty());
+    assert_eq!(drives.mailboxes, [2, 3, 4].map(frame));
+}
+
+#[test]
+fn torque_is_added_to_every_form_of_a_moteus_command_that_has_the_field() {
+    for resolution in [Resolution::Int16, Resolution::Int32, Resolution::F32] {
+        let mut drive = profile(PROTOCOLS[4].0);
+        let Protocol::Moteus(scales) = &mut drive.protocol else {
+            panic!("{drive:?}");
+        };
+        scales.resolution = resolution;
+        let mut board = InLine::new([Some(drive)], TIMEOUT_US);
+        board.set(&[1.5], 0);
+        let command = JointCommand {
+            position: 0.5,
+            torque: 0.25,
+            ..JointCommand::default()
+        };
+        let sent = sent(&drive, &command);
+        let mut frame = sent;
+        assert!(board.to_drives(&mut frame, 0).is_some());
+        let Some(Request::Command(passed)) = drive.accept(&frame) else {
+            panic!("{frame:?}");
+        };
+        let near = (passed.torque - 1.75).abs() < 0.03 && (passed.position - 0.5).abs() < 1e-3;
+        assert!(near, "{resolution:?} {passed:?}");
+        assert_eq!(frame.bytes().len(), sent.bytes().len());
+    }
+    // Mode 10 and a position, without the field of the torque.
+    let drive = profile(PROTOCOLS[4].0);
+    let id = 0x8000 | u32::from(drive.host_id) << 8 | u32::from(drive.id);
+    let sent = Frame::extended(id, &[1, 0, 10, 5, 0x20, 0x10, 0x27]).into_fd(0x50);
+    let mut board = InLine::new([Some(drive)], TIMEOUT_US);
+    board.set(&[1.5], 0);
+    let mut passed = sent;
+    assert!(board.to_drives(&mut passed, 0).is_some());
+    assert_eq!((passed, board.altered()), (sent, 0));
+}
