@@ -21,15 +21,33 @@ const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-l
 /// Corpora, logs and crashes, from the workspace's root.
 const HOME: &str = "target/foretorque/fuzz";
 
-/// A fuzzed part of the firmware: its name; its longest input, a frame or two, the largest bank, an upload, a store with a
-/// bank in it; its part of all executions, percent.
-type Target = (&'static str, u32, u64);
+/// A fuzzed part of the firmware.
+#[derive(Clone, Copy)]
+struct Target {
+    name: &'static str,
+    /// Longest input: a frame or two, the largest bank, an upload, a store with a bank in it.
+    max_len: u32,
+    /// Part of all executions, percent.
+    share: u64,
+}
 
 /// Two at a time, for two cores.
 const LANES: [&[Target]; 2] = [
-    &[("decoder", 128, 45), ("session", 1024, 2)],
-    &[("bank", 2048, 40), ("store", 4096, 3), ("drives", 80, 10)],
+    &[target("decoder", 128, 45), target("session", 1024, 2)],
+    &[
+        target("bank", 2048, 40),
+        target("store", 4096, 3),
+        target("drives", 80, 10),
+    ],
 ];
+
+const fn target(name: &'static str, max_len: u32, share: u64) -> Target {
+    Target {
+        name,
+        max_len,
+        share,
+    }
+}
 
 /// Result of one target.
 struct Outcome {
@@ -83,8 +101,8 @@ fn unpack() -> Result<()> {
     fs::create_dir_all(&home)?;
     shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))?;
     // A target may have seeds only.
-    for (name, ..) in LANES.iter().copied().flatten() {
-        fs::create_dir_all(corpus(name))?;
+    for target in LANES.iter().copied().flatten() {
+        fs::create_dir_all(corpus(target.name))?;
     }
     Ok(())
 }
@@ -107,16 +125,14 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
         .args(["--manifest-path", "tests/fuzz/engine/Cargo.toml"])
         .args(["--target-dir", "target/fuzz", "--target", &host])
         .env("RUSTFLAGS", COVERAGE);
-    for (name, ..) in LANES.iter().copied().flatten() {
-        build.args(["--bin", name]);
+    for target in LANES.iter().copied().flatten() {
+        build.args(["--bin", target.name]);
     }
     shell::run(&mut build)?;
     let lanes = LANES.each_ref().map(|lane| {
         let programs = format!("target/fuzz/{host}/release");
         thread::spawn(move || {
-            let outcomes = lane.iter().map(|&(name, max_len, share)| {
-                attack(name, max_len, &programs, runs * share / 100)
-            });
+            let outcomes = lane.iter().map(|target| attack(*target, &programs, runs));
             outcomes.collect::<Result<Vec<_>>>()
         })
     });
@@ -128,8 +144,14 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     Ok(outcomes)
 }
 
-/// Fuzzes one target, of the directory `programs`, and reads the report of libFuzzer.
-fn attack(name: &'static str, max_len: u32, programs: &str, runs: u64) -> Result<Outcome> {
+/// Fuzzes one target, of the directory `programs`, with its share of `runs`, and reads the report of libFuzzer.
+fn attack(target: Target, programs: &str, runs: u64) -> Result<Outcome> {
+    let Target {
+        name,
+        max_len,
+        share,
+    } = target;
+    let runs = runs * share / 100;
     let home = root().join(HOME).join(name);
     let (found, seeds) = (home.join("found"), home.join("seeds"));
     for directory in [&found, &seeds] {

@@ -5,22 +5,24 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::io::Read as _;
 
-/// Inputs of one target, packed in an archive of all.
-fn inputs(target: &str) -> Vec<Vec<u8>> {
+/// Committed inputs, each with the name of its target.
+fn committed() -> Vec<(String, Vec<u8>)> {
     let packed = GzDecoder::new(&include_bytes!("../corpus.tar.gz")[..]);
     let mut archive = tar::Archive::new(packed);
     let entries = archive.entries().expect("the archive is whole");
-    let mut inputs = fuzz::seeds(target);
-    for entry in entries {
+    let files = entries.filter_map(|entry| {
         let mut entry = entry.expect("the archive is whole");
         let path = entry.path().expect("names are text").into_owned();
-        if entry.header().entry_type().is_file() && path.starts_with(format!("corpus/{target}")) {
-            let mut input = Vec::new();
-            entry.read_to_end(&mut input).expect("the archive is whole");
-            inputs.push(input);
-        }
-    }
-    inputs
+        let target = path.iter().nth(1)?.to_str()?.to_owned();
+        let mut input = Vec::new();
+        entry.read_to_end(&mut input).expect("the archive is whole");
+        entry
+            .header()
+            .entry_type()
+            .is_file()
+            .then_some((target, input))
+    });
+    files.collect()
 }
 
 /// Numbers that a check may forget.
@@ -51,8 +53,9 @@ fn mutate(input: &mut Vec<u8>, random: &mut ChaCha8Rng) {
 /// Passes every input and `executions` changed ones to a target, which panics where a promise is broken.
 fn run(name: &str, executions: usize) {
     let target = fuzz::target(name).expect("a target of this name");
-    let inputs = inputs(name);
-    assert!(!inputs.is_empty());
+    let mut inputs = fuzz::seeds(name);
+    let committed = committed().into_iter().filter(|(target, _)| target == name);
+    inputs.extend(committed.map(|(_, input)| input));
     inputs.iter().for_each(|input| target(input));
     let mut random = ChaCha8Rng::seed_from_u64(1);
     for input in inputs.iter().cycle().take(executions) {
@@ -60,6 +63,15 @@ fn run(name: &str, executions: usize) {
         mutate(&mut changed, &mut random);
         let broken = std::panic::catch_unwind(|| target(&changed)).is_err();
         assert!(!broken, "{name} breaks a promise after {changed:02x?}");
+    }
+}
+
+#[test]
+fn every_committed_input_has_a_target() {
+    let committed = committed();
+    assert!(committed.len() > 400, "the committed archive has 468");
+    for (target, _) in committed {
+        assert!(fuzz::target(&target).is_some(), "{target}");
     }
 }
 
