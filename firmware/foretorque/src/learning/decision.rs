@@ -13,7 +13,7 @@ macro_rules! reasons {
 
         impl Reason {
             /// Every reason, in the order of their codes, which begin at 1.
-            pub const ALL: [Self; 25] = [$(Self::$reason),*];
+            pub const ALL: [Self; 26] = [$(Self::$reason),*];
         }
 
         impl fmt::Display for Reason {
@@ -39,7 +39,7 @@ reasons! {
     Residual = 5, "payload refused: residual";
     /// Transient disturbance: it ended before a promotion. Figure: seconds since the alarm.
     Transient = 6, "transient disturbance";
-    /// The common learnt share falls below a quarter, or a rollback to the snapshot on request. Figure: the share.
+    /// Rollback to the snapshot, on request.
     RolledBack = 7, "rolled back";
     /// Payload released: the parameters are those of before it. Figure: mass, kg.
     Released = 8, "payload released";
@@ -77,7 +77,9 @@ reasons! {
     /// Figure: −1.
     Reversed = 24, "torques reversed";
     /// The common learnt share rises above one half. Figure: the share.
-    Followed = 25, "following begins";
+    FollowingBegan = 25, "following begins";
+    /// The common learnt share falls below a quarter. Figure: the share.
+    FollowingEnded = 26, "following ends";
 }
 
 impl Reason {
@@ -192,7 +194,7 @@ mod tests {
             assert_eq!(reason as u8, code);
             assert_eq!(Reason::from_code(code), Some(reason));
         }
-        assert_eq!([0, 26].map(Reason::from_code), [None; 2]);
+        assert_eq!([0, 27].map(Reason::from_code), [None; 2]);
     }
 
     #[test]

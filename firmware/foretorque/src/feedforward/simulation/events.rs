@@ -367,9 +367,13 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
         board.tick(&plant.sample(tick));
     }
     // Estimates of the first tenths of a second may be followed and left again.
-    let following = |reason: &&Reason| [Reason::Followed, Reason::RolledBack].contains(reason);
+    let following =
+        |reason: &&Reason| [Reason::FollowingBegan, Reason::FollowingEnded].contains(reason);
     let decided = reasons(&board);
-    assert_eq!(decided.iter().rfind(following), Some(&Reason::Followed));
+    assert_eq!(
+        decided.iter().rfind(following),
+        Some(&Reason::FollowingBegan)
+    );
     let share = board.learner.state().share().joint;
     assert!(share.iter().all(|share| *share > 0.9), "{share:?}");
     let committed = board.feedforward.state().committed;
@@ -389,5 +393,5 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
     // The estimate returns to it as well.
     assert!(least < 0.25, "{least}");
     let left = reasons(&board);
-    assert!(left.contains(&Reason::RolledBack), "{left:?}");
+    assert!(left.contains(&Reason::FollowingEnded), "{left:?}");
 }

@@ -196,8 +196,12 @@ fn follow(
     }
     let reason = match (before, *state) {
         (before, now) if now.reversed && !before.reversed => Some((Reason::Reversed, -1.0)),
-        (before, now) if now.following && !before.following => Some((Reason::Followed, share)),
-        (before, now) if before.following && !now.following => Some((Reason::RolledBack, share)),
+        (before, now) if now.following && !before.following => {
+            Some((Reason::FollowingBegan, share))
+        }
+        (before, now) if before.following && !now.following => {
+            Some((Reason::FollowingEnded, share))
+        }
         _ => None,
     };
     (Action::Follow { commit }, reason)
@@ -336,7 +340,11 @@ mod tests {
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
         }
-        let wanted = [Reason::Followed, Reason::RolledBack, Reason::Reversed];
+        let wanted = [
+            Reason::FollowingBegan,
+            Reason::FollowingEnded,
+            Reason::Reversed,
+        ];
         assert_eq!(reasons, wanted);
     }
 
