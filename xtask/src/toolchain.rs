@@ -60,23 +60,11 @@ impl Toolchain {
         }
     }
 
-    /// `cargo SUBCOMMAND` for the libraries, as others may take them, in target and profile of the board.
-    pub(crate) fn board_library_cargo(self, subcommand: &str) -> Command {
-        let mut command = self.for_board(subcommand);
-        command.args(["-p", "foretorque", "-p", "foretorque-link", "--lib"]);
-        command
-    }
-
     /// `cargo SUBCOMMAND` for the board and every image, in target and profile of the board.
     pub(crate) fn board_cargo(self, subcommand: &str) -> Command {
-        let mut command = self.for_board(subcommand);
-        command.args(["-p", "foretorque-f405", "-p", "foretorque-images"]);
-        command
-    }
-
-    fn for_board(self, subcommand: &str) -> Command {
         let mut command = self.tool("cargo");
         command.args([subcommand, "--profile", PROFILE, "--target", TARGET]);
+        command.args(["-p", "foretorque-f405", "-p", "foretorque-images"]);
         command
     }
 }
