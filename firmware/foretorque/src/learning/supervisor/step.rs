@@ -194,14 +194,10 @@ fn follow(
     if commit {
         state.commit_in = config.commit_ticks;
     }
-    let reason = match (before, *state) {
-        (before, now) if now.reversed && !before.reversed => Some((Reason::Reversed, -1.0)),
-        (before, now) if now.following && !before.following => {
-            Some((Reason::FollowingBegan, share))
-        }
-        (before, now) if before.following && !now.following => {
-            Some((Reason::FollowingEnded, share))
-        }
+    let reason = match (before.following, state.following) {
+        _ if state.reversed && !before.reversed => Some((Reason::Reversed, -1.0)),
+        (false, true) => Some((Reason::FollowingBegan, share)),
+        (true, false) => Some((Reason::FollowingEnded, share)),
         _ => None,
     };
     (Action::Follow { commit }, reason)
