@@ -1,6 +1,6 @@
 //! The board's f32 dynamics: physical identities for every arm, with seeded random geometry too, and the host's f64 reference.
 
-use acceptance::{description, each_arm};
+use crate::{description, each_arm};
 use foretorque::arm::{Arm, ur5::Ur5};
 use foretorque::dynamics::{BaseParameters, gravity_torque, regressor, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};

@@ -1,7 +1,7 @@
 //! Arm modules agree with the generator and with their descriptions.
 
-use acceptance::arms::{oblique::Oblique, ur5_calibrated::Ur5Calibrated};
-use acceptance::{description, each_arm};
+use crate::arms::{oblique::Oblique, ur5_calibrated::Ur5Calibrated};
+use crate::{description, each_arm};
 use foretorque::arm::{Arm, LinkInertia, base_parameters, panda::Panda, ur5::Ur5};
 use foretorque_workbench::generate::{arm_hash, arm_module};
 use std::path::Path;

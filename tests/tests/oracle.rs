@@ -1,7 +1,7 @@
 //! Dynamics against tables made by Pinocchio (`tests/data/pinocchio/README.md`).
 
-use acceptance::arms::oblique::Oblique;
-use acceptance::{Table, description, each_arm};
+use crate::arms::oblique::Oblique;
+use crate::{Table, description, each_arm};
 use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};

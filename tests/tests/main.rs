@@ -1,7 +1,12 @@
 //! Requirements that hold across the crates of foretorque: test arms beside the shipped ones, and tables made by outside
-//! tools: compressed CSV, a header row.
+//! tools: compressed CSV, a header row. One test crate: the dynamics are compiled for every arm once.
 
-pub use foretorque_test_arms as arms;
+mod dynamics;
+mod generated;
+mod oracle;
+mod pages;
+
+use foretorque_test_arms as arms;
 
 use flate2::read::GzDecoder;
 use foretorque_workbench::robot::Robot;
@@ -10,7 +15,7 @@ use std::fs::File;
 use std::path::Path;
 
 /// A table of numbers with named columns.
-pub struct Table {
+struct Table {
     columns: HashMap<String, usize>,
     rows: Vec<Vec<f64>>,
 }
@@ -19,7 +24,7 @@ impl Table {
     /// Reads `tests/data/pinocchio/NAME.csv.gz`.
     ///
     /// Panics with the file's name if it is missing, ragged or not numeric: such a table can test nothing.
-    pub fn pinocchio(name: &str) -> Self {
+    fn pinocchio(name: &str) -> Self {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/pinocchio");
         let path = folder.join(format!("{name}.csv.gz"));
         Self::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
@@ -35,50 +40,45 @@ impl Table {
     }
 
     /// Number of rows.
-    pub fn len(&self) -> usize {
+    fn len(&self) -> usize {
         self.rows.len()
     }
 
-    /// The table has no rows.
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
-    }
-
     /// One value. Panics if there is no such column or row.
-    pub fn value(&self, row: usize, column: &str) -> f64 {
+    fn value(&self, row: usize, column: &str) -> f64 {
         let index = self.columns.get(column);
         self.rows[row][*index.unwrap_or_else(|| panic!("no column '{column}'"))]
     }
 
     /// One value for each of `N` joints, from the columns `PREFIX1SUFFIX`, `PREFIX2SUFFIX`, …
-    pub fn joints<const N: usize>(&self, row: usize, prefix: &str, suffix: &str) -> [f64; N] {
+    fn joints<const N: usize>(&self, row: usize, prefix: &str, suffix: &str) -> [f64; N] {
         std::array::from_fn(|joint| self.value(row, &format!("{prefix}{}{suffix}", joint + 1)))
     }
 }
 
 /// Calls `check::<Arm, N, P>()`, with arguments if there are any, for the UR5, the Panda and the ten random arms.
-#[macro_export]
 macro_rules! each_arm {
     ($check:ident $(, $argument:expr)*) => {
         $check::<foretorque::arm::ur5::Ur5, 6, 40>($($argument),*);
         $check::<foretorque::arm::panda::Panda, 7, 48>($($argument),*);
-        $check::<$crate::arms::random_1_a::Random1A, 1, 3>($($argument),*);
-        $check::<$crate::arms::random_1_b::Random1B, 1, 3>($($argument),*);
-        $check::<$crate::arms::random_2_a::Random2A, 2, 11>($($argument),*);
-        $check::<$crate::arms::random_2_b::Random2B, 2, 11>($($argument),*);
-        $check::<$crate::arms::random_4_a::Random4A, 4, 27>($($argument),*);
-        $check::<$crate::arms::random_4_b::Random4B, 4, 27>($($argument),*);
-        $check::<$crate::arms::random_6_a::Random6A, 6, 43>($($argument),*);
-        $check::<$crate::arms::random_6_b::Random6B, 6, 43>($($argument),*);
-        $check::<$crate::arms::random_7_a::Random7A, 7, 51>($($argument),*);
-        $check::<$crate::arms::random_7_b::Random7B, 7, 51>($($argument),*);
+        $check::<crate::arms::random_1_a::Random1A, 1, 3>($($argument),*);
+        $check::<crate::arms::random_1_b::Random1B, 1, 3>($($argument),*);
+        $check::<crate::arms::random_2_a::Random2A, 2, 11>($($argument),*);
+        $check::<crate::arms::random_2_b::Random2B, 2, 11>($($argument),*);
+        $check::<crate::arms::random_4_a::Random4A, 4, 27>($($argument),*);
+        $check::<crate::arms::random_4_b::Random4B, 4, 27>($($argument),*);
+        $check::<crate::arms::random_6_a::Random6A, 6, 43>($($argument),*);
+        $check::<crate::arms::random_6_b::Random6B, 6, 43>($($argument),*);
+        $check::<crate::arms::random_7_a::Random7A, 7, 51>($($argument),*);
+        $check::<crate::arms::random_7_b::Random7B, 7, 51>($($argument),*);
     };
 }
+use each_arm;
 
 /// The description of an arm of [`each_arm`], of [`arms::oblique`] or of [`arms::ur5_calibrated`].
 ///
 /// Panics if it cannot be read: without it there is nothing to test.
-pub fn description(name: &str) -> Robot {
+fn description(name: &str) -> Robot {
     let data = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
     let loaded = match name {
         "ur5" | "panda" => Robot::load(name),
