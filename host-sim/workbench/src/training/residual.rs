@@ -172,9 +172,10 @@ fn descend(
                 }
                 let weighted = row.weight * jacobian[r];
                 slope[r] += weighted * error;
-                // Whole columns are contiguous. nalgebra's `ger` takes longer: it does not leave out inactive units.
+                // Columns of the upper triangle are contiguous. nalgebra's `ger` takes longer: it does not leave out inactive
+                // units.
                 let mut column = normal.column_mut(r);
-                for (sum, other) in column.as_mut_slice().iter_mut().zip(&jacobian) {
+                for (sum, other) in column.as_mut_slice().iter_mut().zip(&jacobian[..=r]) {
                     *sum += weighted * other;
                 }
             }
