@@ -172,8 +172,7 @@ fn descend(
                 }
                 let weighted = row.weight * jacobian[r];
                 slope[r] += weighted * error;
-                // Columns of the upper triangle are contiguous. nalgebra's `ger` takes longer: it does not leave out inactive
-                // units.
+                // One triangle, by contiguous columns. nalgebra's `ger` takes longer: it adds up inactive units too.
                 let mut column = normal.column_mut(r);
                 for (sum, other) in column.as_mut_slice().iter_mut().zip(&jacobian[..=r]) {
                     *sum += weighted * other;
