@@ -14,7 +14,7 @@ pub(super) struct Arguments {
     /// File for the counts (JSON)
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Ten seconds of each kind instead of the whole campaign
+    /// Three seconds of each kind instead of the whole campaign
     #[arg(long)]
     short: bool,
     /// Seed of all damage

@@ -165,7 +165,7 @@ fn public(tools: Tools) -> Vec<Gate> {
     // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
     let mut docs = command("cargo");
     docs.args(["doc", "--workspace", "--no-deps"])
-        .args(["--lib", "--bins", "--examples"])
+        .args(["--lib", "--bin", "host-sim", "--bin", "xtask", "--examples"])
         .env("RUSTDOCFLAGS", "-D warnings");
     vec![
         runs("docs", docs),

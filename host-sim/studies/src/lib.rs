@@ -158,20 +158,3 @@ fn fingerprint(config: &impl Serialize) -> Result<String, StudyError> {
     let (version, hash) = (env!("CARGO_PKG_VERSION"), hasher.finish());
     Ok(format!("{version} {hash:016x}"))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use foretorque::arm::ur5::Ur5;
-
-    #[test]
-    fn the_bank_of_the_description_holds_the_nominal_parameters_of_the_firmware() {
-        let robot = Robot::load("ur5").expect("built in");
-        let bank = bank_of::<Ur5, 6, 40>(&robot);
-        let set = bank.set::<Ur5, 6, 40>().expect("a bank for this arm");
-        for (found, nominal) in set.rigid.iter().zip(<Ur5 as Arm<6, 40>>::NOMINAL) {
-            assert!((found - nominal).abs() <= 1e-6 * nominal.abs().max(1.0));
-        }
-        assert_eq!(set.friction[0][FrictionColumn::Coulomb], 7.0);
-    }
-}

@@ -10,7 +10,6 @@ use foretorque::feedforward::evaluate;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{LearnerConfig, ParameterSet, prior_factor, prior_factor_count};
 use foretorque_link::bank::{ColumnKind, NETWORK_SEED, ParameterBank};
-use foretorque_studies as _;
 use foretorque_workbench::arms;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, Described, Native, Transport};
@@ -18,14 +17,10 @@ use foretorque_workbench::generate::{arm_hash, arm_module, write_arm_module};
 use foretorque_workbench::robot::Robot;
 use std::time::Duration;
 
-const BOOT: Duration = Duration::from_millis(10);
+use crate::native;
+
 /// Longest time to an answer of the emulator on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(5);
-
-fn client<A: Arm<N, P> + 'static, const N: usize, const P: usize>() -> Client<N> {
-    let board = Box::new(Native::<A, N, P>::new().unwrap());
-    Client::connect::<A, P>(board, BOOT).unwrap()
-}
 
 fn motion<const N: usize>(t: f32, middle: &[(f32, f32); N]) -> JointMotion<N> {
     let phase = |joint: usize| t + joint as f32;
@@ -53,7 +48,7 @@ fn sample<A: Arm<N, P>, const N: usize, const P: usize>(tick: u32) -> JointSampl
 
 #[test]
 fn a_motion_beyond_the_range_of_a_sample_is_refused_and_nothing_is_sent() {
-    let mut board = client::<Panda, 7, 48>();
+    let mut board = native::<Panda, 7, 48>();
     let mut sample = sample::<Panda, 7, 48>(0);
     let tick = board.sample(&sample).unwrap().tick;
     sample.desired.qdd[2] = -70.5;
@@ -89,8 +84,8 @@ fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
         let read = prior_factor::<Described<N, P>, N, P>(index);
         assert_eq!(prior_factor::<A, N, P>(index), read);
     }
-    let compiled = client::<A, N, P>();
-    let read = client::<Described<N, P>, N, P>();
+    let compiled = native::<A, N, P>();
+    let read = native::<Described<N, P>, N, P>();
     assert_eq!(compiled.hello(), read.hello());
     the_same_learning::<A, N, P>([compiled, read], 4000);
 }
@@ -162,7 +157,7 @@ fn arms_of_one_to_eight_joints_run_and_learn() {
         arms!(robot, N, P => {
             let arm = Described::<N, P>::read(&robot).expect("room for all base parameters");
             assert!(arm.index.count + 5 > P, "{} of {P}", arm.index.count);
-            let mut client = client::<Described<N, P>, N, P>();
+            let mut client = native::<Described<N, P>, N, P>();
             client.upload_bank(&ParameterBank::nominal::<Described<N, P>, N, P>()).unwrap();
             client.arm(&sample::<Described<N, P>, N, P>(0)).unwrap();
             client.learning(true).unwrap();
@@ -198,7 +193,7 @@ fn friction_of_a_bank_stays_with_its_joint() {
                 bank.columns.iter().map(|column| (column.id, column.value)).collect()
             };
             assert_eq!(values(&again), values(&bank), "{name}");
-            let mut client = client::<Described<N, P>, N, P>();
+            let mut client = native::<Described<N, P>, N, P>();
             client.upload_bank(&bank).unwrap();
             assert_eq!(client.read_bank().unwrap().columns, bank.columns, "{name}");
         }, else unreachable!());
@@ -207,7 +202,7 @@ fn friction_of_a_bank_stays_with_its_joint() {
 
 #[test]
 fn a_bank_of_another_arm_is_named() {
-    let mut client = client::<Panda, 7, 48>();
+    let mut client = native::<Panda, 7, 48>();
     let bank = ParameterBank::nominal::<Ur5, 6, 40>();
     let error = client.upload_bank(&bank).unwrap_err();
     assert!(matches!(error, BoardError::WrongBank { .. }));

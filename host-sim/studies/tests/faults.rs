@@ -1,6 +1,5 @@
 //! Everything that can be broken, and the way out: whatever fails, the torque goes off. The store on simulated flash, and
-//! the board that begins with what its flash holds. `cargo xtask faults` runs the whole campaign. One test crate: the studies
-//! are linked once.
+//! the board that begins with what its flash holds. `cargo xtask faults` runs the whole campaign.
 //!
 //! `faults` is a firmware that carries the fault handlers of the flashable one and fails on request. The emulator has no
 //! flash interface, but it can be given flash that was written by the same store on the host.

@@ -174,10 +174,10 @@ impl Lengths {
         times: 200,
         saves: 20_000,
     };
-    /// Six seconds of each kind, and what the store needs to fill and erase both sectors again and again.
+    /// Three seconds of each kind, and what the store needs to fill and erase both sectors again and again.
     pub const SHORT: Self = Self {
-        native_s: 6,
-        bulk_s: 6,
+        native_s: 3,
+        bulk_s: 3,
         usart_ticks: 40,
         times: 10,
         saves: 3000,

@@ -312,29 +312,3 @@ fn text(report: &LearningReport) -> String {
 fn number(value: f64) -> String {
     significant(value, 4)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn report(only: &str) -> LearningReport {
-        let config = LearningConfig {
-            seeds: (1, 1),
-            only: Some(only.to_owned()),
-            quick: true,
-        };
-        run(&config, &|_, _, _| {}).expect("runs").report
-    }
-
-    #[test]
-    fn a_rigid_arm_is_learnt_from_its_description_and_the_same_seed_gives_the_same_digits() {
-        let first = report("ur5/rigid");
-        let [scenario] = first.scenarios.as_slice() else {
-            panic!("one run: {first:?}");
-        };
-        let figures = &scenario.figures;
-        assert!(figures["unseen_over_start_ratio"] < 0.2, "{figures:?}");
-        assert!(figures["tracking_over_pd_ratio"] < 0.2, "{figures:?}");
-        assert_eq!(first, report("ur5/rigid"));
-    }
-}
