@@ -162,7 +162,8 @@ fn images(tools: Tools) -> Vec<Gate> {
 
 /// Packages as a user has them, and the documentation of every package.
 fn public(tools: Tools) -> Vec<Gate> {
-    // With the examples the features of the dependencies are those of clippy, so nothing is built twice.
+    // With the examples the features of the dependencies are those of clippy, so nothing is built twice. On the
+    // host the board's images are mains that say what they are: nothing to document.
     let mut docs = command("cargo");
     docs.args(["doc", "--workspace", "--no-deps"])
         .args(["--lib", "--bin", "host-sim", "--bin", "xtask", "--examples"])
