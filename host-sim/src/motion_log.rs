@@ -4,7 +4,7 @@ use foretorque_workbench::closed_loop::TickRecord;
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::plant::Measurement;
 use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix};
 use std::collections::VecDeque;
 use std::io;
 use std::path::Path;
@@ -136,10 +136,17 @@ impl<const N: usize> Quadratic<N> {
         let first = rows.front().map_or(Joints::zeros(), |row| row.q);
         for row in rows {
             let k = (row.t_s - middle_s) / half_s;
-            let powers = Vector3::new(1.0, k, k * k);
-            gram += powers * powers.transpose();
+            let powers = [1.0, k, k * k];
             // Differences from the first row: positions lose no digits to their size.
-            moment += powers * (row.q - first).transpose();
+            let moved = row.q - first;
+            for (i, power) in powers.into_iter().enumerate() {
+                for (j, other) in powers.into_iter().enumerate() {
+                    gram[(i, j)] += power * other;
+                }
+                for (joint, moved) in moved.iter().enumerate() {
+                    moment[(i, joint)] += power * moved;
+                }
+            }
         }
         let still = SMatrix::zeros();
         let fit = gram.cholesky().map_or(still, |gram| gram.solve(&moment));

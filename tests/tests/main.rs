@@ -1,10 +1,14 @@
-//! Requirements that hold across the crates of foretorque: test arms beside the shipped ones, and tables made by outside
-//! tools: compressed CSV, a header row. One test crate: the dynamics are compiled for every arm once.
+//! Requirements that hold across the crates of foretorque: test arms beside the shipped ones, tables made by outside tools
+//! (compressed CSV, a header row), and the studies in small. One test crate: it links the code that the studies have compiled
+//! for the arms.
 
+mod described_arms;
 mod dynamics;
+mod faults;
 mod generated;
 mod oracle;
 mod pages;
+mod studies;
 
 use foretorque_test_arms as arms;
 

@@ -72,7 +72,6 @@ fn every_test_that_a_page_names_is_there() {
             let directory = match package {
                 "foretorque-link" => "firmware/foretorque-link/tests",
                 "foretorque-capi" => "firmware/capi/tests",
-                "foretorque-studies" => "host-sim/studies/tests",
                 "foretorque-workbench" => "host-sim/workbench/tests",
                 "host-sim" => "host-sim/tests",
                 _ => "tests/tests",

@@ -21,7 +21,7 @@ use std::time::Duration;
 
 #[test]
 fn every_crash_switches_the_torque_off_and_is_reported_once() {
-    let source = include_str!("../../../firmware/images/src/bin/faults.rs");
+    let source = include_str!("../../firmware/images/src/bin/faults.rs");
     let panics = |line: usize| {
         let line = source.lines().nth(line - 1);
         line.is_some_and(|line| line.contains("panic!()"))

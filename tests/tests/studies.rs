@@ -1,7 +1,4 @@
-//! The studies as their commands run them, in small. One test crate: the studies are linked once.
-
-mod described_arms;
-mod faults;
+//! The studies as their commands run them, in small.
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
@@ -15,7 +12,7 @@ use foretorque_workbench::robot::Robot;
 use std::time::Duration;
 
 /// A board of `A` in this process.
-fn native<A: Arm<N, P> + 'static, const N: usize, const P: usize>() -> Client<N> {
+pub(super) fn native<A: Arm<N, P> + 'static, const N: usize, const P: usize>() -> Client<N> {
     let board = Box::new(Native::<A, N, P>::new().expect("boots"));
     Client::connect::<A, P>(board, Duration::from_secs(1)).expect("hello")
 }

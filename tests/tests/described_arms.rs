@@ -17,7 +17,7 @@ use foretorque_workbench::generate::{arm_hash, arm_module, write_arm_module};
 use foretorque_workbench::robot::Robot;
 use std::time::Duration;
 
-use crate::native;
+use crate::studies::native;
 
 /// Longest time to an answer of the emulator on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -173,7 +173,10 @@ fn arms_of_one_to_eight_joints_run_and_learn() {
 #[test]
 fn friction_of_a_bank_stays_with_its_joint() {
     for name in ["small5", "mit6", "ur10e", "gen3", "eight", "ur5"] {
-        let file = format!("{}/../robots/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        let file = format!(
+            "{}/../host-sim/robots/{name}.toml",
+            env!("CARGO_MANIFEST_DIR")
+        );
         let robot = Robot::load(&file).unwrap();
         arms!(robot, N, P => {
             Described::<N, P>::read(&robot).unwrap();
