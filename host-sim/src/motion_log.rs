@@ -118,6 +118,15 @@ impl<const N: usize> MotionLog<N> {
     }
 }
 
+/// Adds `powers[i] * factors[j]` to row `i` of column `j`.
+fn add_products<const C: usize>(sums: &mut [[f64; 3]; C], powers: [f64; 3], factors: [f64; C]) {
+    for (column, factor) in sums.iter_mut().zip(factors) {
+        for (sum, power) in column.iter_mut().zip(powers) {
+            *sum += power * factor;
+        }
+    }
+}
+
 /// `q(t) = c0 + c1 t + c2 t²` by least squares around a middle               [Savitzky and Golay 1964, for uneven rows]
 struct Quadratic<const N: usize> {
     middle_s: f64,
@@ -131,25 +140,19 @@ impl<const N: usize> Quadratic<N> {
         let ends = [rows.front(), rows.back()].map(|row| row.map_or(0.0, |row| row.t_s));
         let middle_s = 0.5 * (ends[0] + ends[1]);
         let half_s = (0.5 * (ends[1] - ends[0])).max(f64::MIN_POSITIVE);
-        let mut gram = Matrix3::zeros();
-        let mut moment = SMatrix::<f64, 3, N>::zeros();
+        let (mut gram, mut moment) = ([[0.0; 3]; 3], [[0.0; 3]; N]);
         let first = rows.front().map_or(Joints::zeros(), |row| row.q);
         for row in rows {
             let k = (row.t_s - middle_s) / half_s;
             let powers = [1.0, k, k * k];
+            add_products(&mut gram, powers, powers);
             // Differences from the first row: positions lose no digits to their size.
-            let moved = row.q - first;
-            for (i, power) in powers.into_iter().enumerate() {
-                for (j, other) in powers.into_iter().enumerate() {
-                    gram[(i, j)] += power * other;
-                }
-                for (joint, moved) in moved.iter().enumerate() {
-                    moment[(i, joint)] += power * moved;
-                }
-            }
+            add_products(&mut moment, powers, (row.q - first).into());
         }
         let still = SMatrix::zeros();
-        let fit = gram.cholesky().map_or(still, |gram| gram.solve(&moment));
+        let fit = Matrix3::from(gram)
+            .cholesky()
+            .map_or(still, |gram| gram.solve(&SMatrix::from(moment)));
         let few = rows.len() < 3;
         let slope = |power: usize, scale: f64| {
             let row = fit.row(power).transpose() * scale;
