@@ -17,7 +17,7 @@ use foretorque_workbench::generate::{arm_hash, arm_module, write_arm_module};
 use foretorque_workbench::robot::Robot;
 use std::time::Duration;
 
-use crate::studies::native;
+use crate::native;
 
 /// Longest time to an answer of the emulator on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(5);

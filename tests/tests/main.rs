@@ -13,10 +13,13 @@ mod studies;
 use foretorque_test_arms as arms;
 
 use flate2::read::GzDecoder;
+use foretorque::arm::Arm;
+use foretorque_workbench::board::{Client, Native};
 use foretorque_workbench::robot::Robot;
 use std::collections::HashMap;
 use std::fs::File;
 use std::path::Path;
+use std::time::Duration;
 
 /// A table of numbers with named columns.
 struct Table {
@@ -78,6 +81,12 @@ macro_rules! each_arm {
     };
 }
 use each_arm;
+
+/// A board of `A` in this process.
+fn native<A: Arm<N, P> + 'static, const N: usize, const P: usize>() -> Client<N> {
+    let board = Box::new(Native::<A, N, P>::new().expect("boots"));
+    Client::connect::<A, P>(board, Duration::from_secs(1)).expect("hello")
+}
 
 /// The description of an arm of [`each_arm`], of [`arms::oblique`] or of [`arms::ur5_calibrated`].
 ///

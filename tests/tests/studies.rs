@@ -7,15 +7,9 @@ use foretorque_studies::demo::{self, DemoConfig};
 use foretorque_studies::learning::soak::{self, SoakConfig};
 use foretorque_studies::learning::{self, LearningConfig, LearningReport};
 use foretorque_studies::{Outcome, bank_of};
-use foretorque_workbench::board::{Client, Native};
 use foretorque_workbench::robot::Robot;
-use std::time::Duration;
 
-/// A board of `A` in this process.
-pub(super) fn native<A: Arm<N, P> + 'static, const N: usize, const P: usize>() -> Client<N> {
-    let board = Box::new(Native::<A, N, P>::new().expect("boots"));
-    Client::connect::<A, P>(board, Duration::from_secs(1)).expect("hello")
-}
+use crate::native;
 
 fn learnt() -> LearningReport {
     let config = LearningConfig {
