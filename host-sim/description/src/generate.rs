@@ -78,7 +78,7 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>) -> String {
     });
     let placed = rows(&model.placements, |placement| format!("{placement:?}"));
     let columns = rows(&model.columns, |columns| format!("{columns:?}"));
-    let terms = rows(model.base_map, |term| {
+    let terms = filled(model.base_map, |term| {
         let (base, standard, weight) = (term.base, term.standard, term.weight);
         format!("BaseTerm::new({base}, {standard}, {weight:?})")
     });
@@ -96,7 +96,7 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>) -> String {
     };
     let step = model.encoder_step;
     let nominal = &model.nominal.as_slice()[..parameters];
-    let nominal = rows(nominal, |value| format!("{value:?}"));
+    let nominal = filled(nominal, |value| format!("{value:?}"));
     let links = rows(&model.links, |link| format!("{link:?}"));
     let (rotors, gravity) = (model.rotors, model.gravity);
     format!(
@@ -143,6 +143,18 @@ impl Arm<JOINTS, PARAMETERS> for {arm} {{
 fn rows<T>(items: &[T], text: impl Fn(&T) -> String) -> String {
     let row = |item| format!("        {},\n", text(item));
     items.iter().map(row).collect()
+}
+
+/// Lines of Rust source with as many items each as they have room for.
+fn filled<T>(items: &[T], text: impl Fn(&T) -> String) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    for item in items.iter().map(text) {
+        match lines.last_mut() {
+            Some(line) if line.len() + item.len() < 110 => *line += &format!(", {item}"),
+            _ => lines.push(item),
+        }
+    }
+    rows(&lines, String::clone)
 }
 
 /// Writes the module of a robot to `file` and declares it in the `mod.rs` beside it, if there is one.
