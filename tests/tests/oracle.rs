@@ -2,7 +2,7 @@
 
 use crate::arms::oblique::Oblique;
 use crate::{Table, description, each_arm};
-use foretorque::arm::{Arm, LINK_PARAMETERS, panda::Panda, ur5::Ur5};
+use foretorque::arm::{Arm, LINK_PARAMETERS};
 use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
@@ -210,8 +210,8 @@ const ROW_LIMIT_SHARE: f64 = 2e-6;
 /// Seconds after which the emulator is stopped; it needs about one.
 const PATIENCE: &str = "120";
 
-/// The tables against the firmware as the emulated processor runs it: the ELF `oracle`, built for the board, both compiled arms
-/// in one run. States of the arms, and the torques after the run.
+/// The tables against the firmware as the emulated processor runs it: the ELF `oracle`, built for the board, all arms in one
+/// run. States of the arms, in the order of `each_arm`, and the torques after the run.
 #[derive(Default)]
 struct Batch {
     states: Vec<f32>,
@@ -301,12 +301,10 @@ fn emulate(states: &Path, torques: &Path) {
 }
 
 #[test]
-fn torques_as_the_emulated_processor_computes_them_agree_with_pinocchio() {
+fn torques_of_every_arm_as_the_emulated_processor_computes_them_agree_with_pinocchio() {
     let mut batch = Batch::default();
-    add::<Ur5, 6, 40>(&mut batch);
-    add::<Panda, 7, 48>(&mut batch);
+    each_arm!(add, &mut batch);
     batch.run();
-    compare::<Ur5, 6, 40>(&mut batch);
-    compare::<Panda, 7, 48>(&mut batch);
+    each_arm!(compare, &mut batch);
     assert_eq!(batch.torques.next(), None);
 }

@@ -140,12 +140,8 @@ fn board_builds(tools: Tools) -> Vec<Gate> {
 
 /// The board's images, with a `host-sim` that was built with the tests.
 fn images(tools: Tools) -> Vec<Gate> {
-    // All but that of the bench, a command of its own.
-    let boards = [cost::JOINT, cost::DRIVE, cost::CAN, "joint-pyboard"];
-    let loaded = ["bulk", "faults", "oracle", "probe"];
-    let images = boards.iter().chain(&loaded);
     let mut firmware = tools.board.board_cargo("build");
-    firmware.args(images.flat_map(|image| ["--bin", image]));
+    firmware.arg("--bins");
     vec![
         gate("7 and 8 joints", move || {
             let host_sim = shell::root().join("target/debug/host-sim");

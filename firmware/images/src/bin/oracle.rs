@@ -1,4 +1,4 @@
-//! Torques of the compiled arms by the firmware's code, as the board's processor computes them: what the acceptance tests hold
+//! Torques of many arms by the firmware's code, as the board's processor computes them: what the acceptance tests hold
 //! against the tables of an outside tool.
 //!
 //! Two files on the semihosting command line. The first holds records of f32, little-endian: the number of the arm in
@@ -12,6 +12,7 @@ mod run {
     use foretorque::dynamics::{BaseParameters, regressor_row, rnea};
     use foretorque::joint::{JointMotion, JointVector};
     use foretorque_images::{Streams, exit};
+    use foretorque_test_arms::*;
     use stm32f4xx_hal as _;
 
     #[cortex_m_rt::entry]
@@ -34,6 +35,16 @@ mod run {
         match arm {
             0 => torques::<Ur5, 6, 40>(streams),
             1 => torques::<Panda, 7, 48>(streams),
+            2 => torques::<random_1_a::Random1A, 1, 3>(streams),
+            3 => torques::<random_1_b::Random1B, 1, 3>(streams),
+            4 => torques::<random_2_a::Random2A, 2, 11>(streams),
+            5 => torques::<random_2_b::Random2B, 2, 11>(streams),
+            6 => torques::<random_4_a::Random4A, 4, 27>(streams),
+            7 => torques::<random_4_b::Random4B, 4, 27>(streams),
+            8 => torques::<random_6_a::Random6A, 6, 43>(streams),
+            9 => torques::<random_6_b::Random6B, 6, 43>(streams),
+            10 => torques::<random_7_a::Random7A, 7, 51>(streams),
+            11 => torques::<random_7_b::Random7B, 7, 51>(streams),
             _ => None,
         }
     }

@@ -3,13 +3,13 @@
 use core::hint::black_box;
 
 use foretorque::arm::panda::{self, Panda};
-use foretorque::arm::ur5;
 use foretorque::dynamics::{friction, regressor, regressor_row, rnea};
 use foretorque::learning::network_inputs;
 use foretorque::math;
 use foretorque_f405::arm::{Arm, JOINTS, PARAMETERS};
+use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 
-use crate::stage::{CALIBRATED_PARAMETERS, Stage, Ur5Calibrated};
+use crate::stage::Stage;
 
 /// One measured function.
 pub(crate) struct Row {
@@ -38,7 +38,9 @@ rows! {
     sin_cos(s) s.sin_cos = math::sin_cos(s.angle);
     rnea_ur5(s) s.tau = rnea::<Arm, JOINTS, PARAMETERS>(&s.set.rigid, &s.motion);
     rnea_calibrated(s) s.calibrated_tau =
-        rnea::<Ur5Calibrated, { ur5::JOINTS }, CALIBRATED_PARAMETERS>(&s.calibrated, &s.calibrated_motion);
+        rnea::<Ur5Calibrated, { ur5_calibrated::JOINTS }, { ur5_calibrated::PARAMETERS }>(
+            &s.calibrated, &s.calibrated_motion,
+        );
     rnea_7dof(s) s.panda_tau =
         rnea::<Panda, { panda::JOINTS }, { panda::PARAMETERS }>(&s.panda, &s.panda_motion);
     regressor_row_ur5(s) { black_box(&regressor_row::<Arm, JOINTS, PARAMETERS>(s.joint, &s.motion)); };

@@ -2,9 +2,8 @@
 
 use core::f32::consts::TAU;
 
+use foretorque::arm::Arm as _;
 use foretorque::arm::panda::{self, Panda};
-use foretorque::arm::ur5::{self, Ur5};
-use foretorque::arm::{self, Arm as _};
 use foretorque::dynamics::{BaseParameters, FrictionColumn, FrictionParameters};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -13,6 +12,7 @@ use foretorque::limits::Flags;
 use foretorque::math::{SinCos, sin_cos};
 use foretorque::network::{BpNetwork, StepParameters};
 use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS};
+use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
 use nalgebra::SVector;
 
 use crate::bus::Bus;
@@ -39,48 +39,6 @@ pub(crate) type Parts = (
     &'static mut Paper,
 );
 
-/// A UR5 as a calibration finds it: what the data sheet has parallel, crossing or at right angles is a little off, so that no
-/// product folds. Its cost depends on no other number.
-pub(crate) struct Ur5Calibrated;
-
-/// The rotor of the shoulder lift has its own parameter as soon as its axis is off the pan's.
-pub(crate) const CALIBRATED_PARAMETERS: usize = ur5::PARAMETERS + 1;
-
-impl arm::Arm<{ ur5::JOINTS }, CALIBRATED_PARAMETERS> for Ur5Calibrated {
-    const NAME: &'static str = "ur5_calibrated";
-    const GRAVITY: [f32; 3] = Ur5::GRAVITY;
-    const PLACEMENTS: [arm::Placement; ur5::JOINTS] = {
-        let mut placements = Ur5::PLACEMENTS;
-        let mut joint = 1;
-        while joint < ur5::JOINTS {
-            let mut axis = 0;
-            while axis < 3 {
-                // No two the same: equal ones would fold, too.
-                let off = 1e-4 * (3 * joint + axis) as f32;
-                placements[joint].origin[axis] += off;
-                // A twist is about x, as in a DH table.
-                if axis > 0 {
-                    placements[joint].rot_parent_child[1][axis] += off;
-                    placements[joint].rot_parent_child[2][axis] -= 2.0 * off;
-                }
-                axis += 1;
-            }
-            joint += 1;
-        }
-        placements
-    };
-    const COLUMNS: [arm::LinkColumns; ur5::JOINTS] = {
-        let mut columns = Ur5::COLUMNS;
-        columns[1].rotor = true;
-        columns
-    };
-    const BASE_MAP: &'static [arm::BaseTerm] = &[];
-    const LIMITS: [arm::JointLimits; ur5::JOINTS] = Ur5::LIMITS;
-    const NOMINAL: [f32; CALIBRATED_PARAMETERS] = [0.1; CALIBRATED_PARAMETERS];
-    const LINKS: [[f32; arm::LINK_PARAMETERS]; ur5::JOINTS] = Ur5::LINKS;
-    const ROTORS: [f32; ur5::JOINTS] = Ur5::ROTORS;
-}
-
 /// Everything a row reads or writes. A row takes what it needs; the rest costs it nothing.
 ///
 /// In this order, small kernels first, so that an access is one instruction as it would be through an argument.
@@ -96,9 +54,9 @@ pub(crate) struct Stage {
     pub(crate) output: SVector<f32, 6>,
     pub(crate) step: StepParameters,
     pub(crate) set: ParameterSet<JOINTS, PARAMETERS>,
-    pub(crate) calibrated: BaseParameters<CALIBRATED_PARAMETERS>,
-    pub(crate) calibrated_motion: JointMotion<{ ur5::JOINTS }>,
-    pub(crate) calibrated_tau: JointVector<{ ur5::JOINTS }>,
+    pub(crate) calibrated: BaseParameters<{ ur5_calibrated::PARAMETERS }>,
+    pub(crate) calibrated_motion: JointMotion<{ ur5_calibrated::JOINTS }>,
+    pub(crate) calibrated_tau: JointVector<{ ur5_calibrated::JOINTS }>,
     pub(crate) panda: BaseParameters<{ panda::PARAMETERS }>,
     pub(crate) panda_motion: JointMotion<{ panda::JOINTS }>,
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
@@ -207,7 +165,7 @@ impl Stage {
             self.motion.qdd[joint] = random.within(10.0);
         }
         let (motion, copy) = (&self.motion, &mut self.calibrated_motion);
-        for joint in 0..JOINTS.min(ur5::JOINTS) {
+        for joint in 0..JOINTS.min(ur5_calibrated::JOINTS) {
             copy.q[joint] = motion.q[joint];
             copy.qd[joint] = motion.qd[joint];
             copy.qdd[joint] = motion.qdd[joint];
