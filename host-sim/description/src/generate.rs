@@ -145,7 +145,7 @@ fn rows<T>(items: &[T], text: impl Fn(&T) -> String) -> String {
     items.iter().map(row).collect()
 }
 
-/// Lines of Rust source with as many items each as they have room for.
+/// Lines of Rust source of at most 120 columns, filled with items.
 fn filled<T>(items: &[T], text: impl Fn(&T) -> String) -> String {
     let mut lines: Vec<String> = Vec::new();
     for item in items.iter().map(text) {
