@@ -66,7 +66,7 @@ impl WholeLog {
                 1.0 / (times as f64 * period_s)
             ));
         }
-        let clock = clock(&first, period_s, reader.has_velocity());
+        let (clock, period_s) = clock(&first, period_s);
         let mut log = Self {
             notes: reader.notes.clone(),
             reader,
@@ -80,7 +80,6 @@ impl WholeLog {
             lost: 0,
         };
         if clock == Clock::Stamps {
-            log.period_s = mean_period_s(steps.iter().copied(), period_s);
             steps.sort_by(f64::total_cmp);
             let ends = [0.05, 0.95].map(|part| steps[(part * steps.len() as f64) as usize] * 1e3);
             log.notes.push(format!(
@@ -93,11 +92,6 @@ impl WholeLog {
         }
         for row in first {
             log.read(Some(row));
-        }
-        if log.lost > 0 {
-            // The steps scatter about two lengths now, and their median lies at the edge of the shorter.
-            let periods: f64 = steps.iter().map(|step| log.periods(*step)).sum();
-            log.period_s = steps.iter().sum::<f64>() / periods;
         }
         log.preview = log.waiting.iter().copied().collect();
         Ok(log)
@@ -231,8 +225,7 @@ fn between(a: &LogRow, b: &LogRow, part: f64, has_velocity: bool) -> LogRow {
 
 /// A step in time of more than this many periods cuts the log; rows lost in a shorter one are put in.
 pub(super) const GAP_PERIODS: f64 = 5.0;
-/// A log with steps shorter than this many periods was timed on arrival: a long step before such a short one was a delay,
-/// not a loss.
+/// A step shorter than this many periods ends at a row that was stamped in time, and begins at one that was late.
 const ARRIVAL_PERIODS: f64 = 0.5;
 
 /// Largest jitter of a clock that counts as even, RMS, share of a period.
@@ -266,40 +259,47 @@ fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
     }
 }
 
-/// The clock of a log, from its first rows. Where steps are uneven and the log has velocities, these decide: stamps are
-/// true where dq = q̇ dt holds better with them than with even steps.
-fn clock(rows: &[LogRow], period_s: f64, has_velocity: bool) -> Clock {
-    let (mut jitter, mut count, mut shortest) = (0.0, 0.0, f64::INFINITY);
-    let steps = rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
-    let period_s = mean_period_s(steps, period_s);
-    // Squared errors of dq by the stamps and by even steps, and squared differences between both. Errors of the velocities
-    // are in both: if the stamps are true, `by_steps − by_stamps` is `apart`; if the steps are even, it is `−apart`.
+/// Clock of a log and its period, s, from its first rows. Where steps are uneven, the positions decide: stamps are true where
+/// a position between its neighbours is where the stamps say, rather than where even steps say.
+fn clock(rows: &[LogRow], median_s: f64) -> (Clock, f64) {
+    let steps = || rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
+    let period_s = mean_period_s(steps(), median_s);
+    let whole = |step_s: f64| (step_s / period_s).round().max(1.0);
+    let (mut jitter, mut count, mut time_s, mut late, mut early) = (0.0, 0.0, 0.0, 0, 0);
+    for step_s in steps().filter(|step_s| *step_s <= GAP_PERIODS * period_s) {
+        jitter += (step_s / period_s - whole(step_s)).powi(2);
+        count += 1.0;
+        time_s += step_s;
+        late += usize::from(whole(step_s) > 1.0);
+        early += usize::from(step_s < ARRIVAL_PERIODS * period_s);
+    }
+    // Squared errors of a position on the line between its neighbours, by the stamps and by even steps, and squared
+    // differences between both. Noise and bends are in both errors: if the stamps are true, `by_steps − by_stamps` is
+    // `apart`; if the steps are even, it is `−apart`.
     let (mut by_stamps, mut by_steps, mut apart) = (0.0, 0.0, 0.0);
-    for pair in rows.windows(2) {
-        let step_s = pair[1].t_s - pair[0].t_s;
-        let periods = step_s / period_s;
-        shortest = periods.min(shortest);
-        if periods > GAP_PERIODS {
+    for three in rows.windows(3) {
+        let [before_s, after_s] = [0, 1].map(|k| three[k + 1].t_s - three[k].t_s);
+        if before_s.max(after_s) > GAP_PERIODS * period_s {
             continue;
         }
-        let whole = periods.round().max(1.0);
-        jitter += (periods - whole).powi(2);
-        count += 1.0;
-        for joint in 0..pair[0].q.len() {
-            let qd = 0.5 * (pair[0].qd[joint] + pair[1].qd[joint]);
-            let dq = pair[1].q[joint] - pair[0].q[joint];
-            by_stamps += (dq - qd * step_s).powi(2);
-            by_steps += (dq - qd * whole * period_s).powi(2);
-            apart += (qd * (step_s - whole * period_s)).powi(2);
+        let stamped = before_s / (before_s + after_s);
+        let even = whole(before_s) / (whole(before_s) + whole(after_s));
+        for joint in 0..three[0].q.len() {
+            let [here, way] = [1, 2].map(|k| three[k].q[joint] - three[0].q[joint]);
+            by_stamps += (here - way * stamped).powi(2);
+            by_steps += (here - way * even).powi(2);
+            apart += (way * (stamped - even)).powi(2);
         }
     }
-    let on_arrival = shortest < ARRIVAL_PERIODS;
     let uneven = (jitter / f64::max(count, 1.0)).sqrt() > EVEN;
-    match (uneven, has_velocity, on_arrival) {
-        (true, true, _) if by_steps - by_stamps > 0.5 * apart => Clock::Stamps,
-        (true, false, false) => Clock::Stamps,
-        (_, _, true) => Clock::Arrival,
-        _ => Clock::Even,
+    // A delay is a long step before a short one: where most long steps have one, no row is lost.
+    let on_arrival = early > 0 && 2 * early >= late;
+    match (uneven, on_arrival) {
+        (true, _) if by_steps - by_stamps > 0.5 * apart => (Clock::Stamps, period_s),
+        (true, true) => (Clock::Arrival, time_s / count),
+        (false, true) => (Clock::Arrival, median_s),
+        (false, false) if late == 0 => (Clock::Even, median_s),
+        _ => (Clock::Even, period_s),
     }
 }
 
@@ -324,18 +324,19 @@ mod tests {
 
     /// Rows of a log of one joint that moves on a cubic, at these times, with these stamps.
     fn stamped(times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
-        noisy(times_s, stamps_s, 0.0)
+        written(times_s, stamps_s, Some(0.0))
     }
 
-    /// Rows of [`stamped`] with velocities that are wrong by up to `error`, rad/s.
-    fn noisy(times_s: &[f64], stamps_s: &[f64], error: f64) -> (Vec<LogRow>, WholeLog) {
+    /// Rows of [`stamped`] with velocities that are wrong by up to `error`, rad/s, or without velocities.
+    fn written(times_s: &[f64], stamps_s: &[f64], error: Option<f64>) -> (Vec<LogRow>, WholeLog) {
         let here = tempfile::tempdir().expect("a directory for temporary files");
         let path = here.path().join("log.csv");
-        let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
+        let velocity = if error.is_some() { "qd1_rad_s," } else { "" };
+        let mut text = format!("t_s,q1_rad,{velocity}tau1_nm\n");
         for (&t, stamp) in times_s.iter().zip(stamps_s) {
-            let (q, mut qd) = motion(t);
-            qd += error * (7e4 * t).sin();
-            text += &format!("{stamp},{q},{qd},{}\n", 3.0 * t);
+            let (q, qd) = motion(t);
+            let qd = error.map(|error| format!("{},", qd + error * (7e4 * t).sin()));
+            text += &format!("{stamp},{q},{}{}\n", qd.unwrap_or_default(), 3.0 * t);
         }
         std::fs::write(&path, text).expect("it can be written");
         let mut robot = Robot::load("ur5").expect("built in");
@@ -391,16 +392,46 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_the_velocities_hide_no_clock() {
+    fn the_positions_tell_true_stamps_from_those_of_arrival() {
         let even: Vec<f64> = (0..400).map(|k| 1e-3 * f64::from(k)).collect();
         let jitter = |(k, t): (usize, &f64)| t + [0.0, 2e-4, -2e-4][k * 7 % 5 % 3];
         let uneven: Vec<f64> = even.iter().enumerate().map(jitter).collect();
-        let grid = |times: &[f64]| {
-            let (_, log) = noisy(times, &uneven, 0.5);
-            log.notes.iter().any(|note| note.contains("put on a grid"))
-        };
-        assert!(grid(&uneven), "rows at their stamps");
-        assert!(!grid(&even), "even rows with uneven stamps");
+        for error in [Some(0.5), None] {
+            let grid = |times: &[f64]| {
+                let (_, log) = written(times, &uneven, error);
+                log.notes.iter().any(|note| note.contains("put on a grid"))
+            };
+            assert!(grid(&uneven), "rows at their stamps, {error:?}");
+            assert!(!grid(&even), "even rows with uneven stamps, {error:?}");
+        }
+    }
+
+    #[test]
+    fn one_odd_step_changes_no_clock() {
+        // Two of three steps are 10 ms, the first is 2 ms.
+        let mut uneven = vec![0.0, 2e-3];
+        let mut lost = vec![0.0, 2e-3];
+        for k in 1..400 {
+            uneven.push(uneven[k] + if k % 3 == 0 { 12e-3 } else { 10e-3 });
+            lost.push(lost[k] + if k % 5 == 0 { 16e-3 } else { 8e-3 });
+        }
+        for error in [Some(0.0), None] {
+            let (_, log) = written(&uneven, &uneven, error);
+            let mean_s = 32e-3 / 3.0;
+            assert!((log.period_s() - mean_s).abs() < 1e-4, "{}", log.period_s());
+            let (_, log) = written(&lost, &lost, error);
+            assert!(log.lost > 70, "{}", log.lost);
+            assert!((log.period_s() - 8e-3).abs() < 1e-4, "{}", log.period_s());
+        }
+        // Even rows whose stamps are rounded to 2 ms: the median step is 10 ms.
+        let even: Vec<f64> = (0..400).map(|k| 32e-3 / 3.0 * f64::from(k)).collect();
+        let rounded: Vec<f64> = even.iter().map(|t| (t / 2e-3).round() * 2e-3).collect();
+        let (_, log) = written(&even, &rounded, None);
+        assert!(
+            (log.period_s() - 32e-3 / 3.0).abs() < 1e-4,
+            "{}",
+            log.period_s()
+        );
     }
 
     #[test]

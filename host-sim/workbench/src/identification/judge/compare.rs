@@ -157,8 +157,9 @@ pub(super) fn compare(
         );
     }
     let sound = |joint: usize| own[joint].rest <= NOISE_SHARE;
+    // Stiction alone carries a light joint at rest.
     let turned: Vec<usize> = (0..joints)
-        .filter(|&joint| sound(joint))
+        .filter(|&joint| sound(joint) && (own[joint].heavy || extremes[joint].moved()))
         .filter(|&joint| {
             let own = &own[joint];
             let clear = |(value, deviation): (f64, f64)| value.abs() > DEVIATIONS * deviation;
@@ -285,14 +286,10 @@ fn order(
             (sum, rests)
         };
     let straight = all(&states, &of_links, &|joint| joint);
-    let moved = |joint: usize| {
-        let (low, high) = extremes[joint].position;
-        extremes[joint].speed > MOVED.0 && high - low > MOVED.1
-    };
     let mut best = (straight.0 - SWAP_EVIDENCE, None);
     for a in 0..own.len() {
         for b in a + 1..own.len() {
-            if !(moved(a) && moved(b)) {
+            if !(extremes[a].moved() && extremes[b].moved()) {
                 continue;
             }
             let swap = |joint: usize| match joint {
@@ -322,4 +319,51 @@ fn order(
     best.1.map(|(what, a, b)| {
         format!("{what} of joints {} and {} are swapped: exchanged they follow the description, as they are they do not", a + 1, b + 1)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stiction_of_a_joint_at_rest_is_no_wrong_sign() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        robot
+            .joints
+            .iter_mut()
+            .for_each(|j| j.friction.coulomb = 0.0);
+        let model = RigidBodies::new(&robot);
+        // Joint 2 swings, and the torque of joint 6 is the opposite of what its link needs.
+        let judged = |swing_6: f64| {
+            let mut judgement = Judgement::default();
+            let mut seen = vec![Extremes::none(); model.joints()];
+            let rows = (0..600).map(|row| {
+                let t = 0.01 * f64::from(row);
+                let swing = [0.0, 0.8, 0.0, 0.0, 0.0, swing_6];
+                let wave = |joint: usize, w: f64| (w * t + joint as f64).sin_cos();
+                let of = |value: &dyn Fn(usize) -> f64| PerJoint::from_fn(6, value);
+                let w = 2.0;
+                let state = Motion {
+                    q: of(&|j| 0.5 + swing[j] * wave(j, w).0),
+                    qd: of(&|j| swing[j] * w * wave(j, w).1),
+                    qdd: of(&|j| -swing[j] * w * w * wave(j, w).0),
+                };
+                let needed = model.inverse_dynamics(&state);
+                let tau = of(&|j| if j == 5 { -needed[j] } else { needed[j] });
+                for (joint, seen) in seen.iter_mut().enumerate() {
+                    let (low, high) = seen.position;
+                    seen.position = (low.min(state.q[joint]), high.max(state.q[joint]));
+                    seen.speed = seen.speed.max(state.qd[joint].abs());
+                }
+                (state, tau)
+            });
+            let rows: Vec<_> = rows.collect();
+            compare(&mut judgement, &robot, &rows, &seen, 1.0);
+            judgement.findings
+        };
+        assert_eq!(judged(0.0), []);
+        let found = judged(0.8);
+        let wrong = "torque of joint 6 has the wrong sign";
+        assert!(found.iter().any(|it| it.text.contains(wrong)), "{found:?}");
+    }
 }

@@ -214,6 +214,9 @@ pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay]
     let squares: f64 = without.iter().map(|one| (one - centre).powi(2)).sum();
     let jackknife = (squares * (PARTS - 1) as f64 / PARTS as f64).sqrt();
     let (mean, deviation) = (mean * step_s, analytic.max(jackknife) * step_s);
+    if deviation > LONGEST_S {
+        return;
+    }
     judgement.delay_s = Some((mean, deviation));
     let clear = mean.abs() > CLEAR * deviation;
     if clear && mean.abs() > DELAY_S.1 {

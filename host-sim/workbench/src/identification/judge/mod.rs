@@ -210,6 +210,12 @@ impl Extremes {
         }
     }
 
+    /// The joint moved fast and far enough to be judged by its motion.
+    fn moved(&self) -> bool {
+        let (low, high) = self.position;
+        self.speed > MOVED.0 && high - low > MOVED.1
+    }
+
     /// RMS torque while the joint moves, N·m.
     fn rms(&self) -> f64 {
         (self.power / f64::max(self.rows, 1.0)).sqrt()
