@@ -309,7 +309,10 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             "are noise: they follow neither the motion nor gravity",
         ),
         (scale(all.clone(), 1e3), "is this mN·m (--units tau=mNm)?"),
-        (scale(all, -1.0), "has the wrong sign"),
+        (
+            scale(all, -1.0),
+            "is this a log that counts the other way (--units tau=-Nm or i=-A)?",
+        ),
         (scale(one(3), -1.0), "torque of joint 3 has the wrong sign"),
         (
             swap(TAU + 1, TAU + 3, 1),
@@ -341,6 +344,10 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         write(here.join("bad.csv"), planted(&good, change.as_ref()));
         judged(words);
     }
+    let turned = planted(&good, scale(TAU..TAU + 6, -1.0).as_ref());
+    write(here.join("turned.csv"), turned);
+    let identify = "identify --robot ur5 --log turned.csv --units tau=-Nm --data-check";
+    assert_contains(&succeeds(&here, identify), "no finding that refuses");
     let mut loaded = Robot::load("ur5").expect("built in");
     let last = loaded.joints.last_mut().expect("six");
     let hand = Link {

@@ -96,7 +96,8 @@ const UNITS: [(usize, &str, f64); 21] = [
 ];
 
 /// Value in SI of one unit of each quantity of a log, written `q=deg,t=ms`. Velocities and accelerations follow the unit
-/// of the positions unless they have their own.
+/// of the positions unless they have their own. A minus before a unit, as in `tau=-Nm`, is for a source that counts the other
+/// way.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Units {
@@ -127,12 +128,15 @@ impl FromStr for Units {
                 return Err(format!("'{quantity}' is no quantity of a log: {known}"));
             };
             let units = || UNITS.iter().filter(|(of, ..)| *of == place);
-            let Some((.., scale)) = units().find(|(_, name, _)| *name == unit.trim()) else {
+            // Time runs one way.
+            let turned = unit.trim().strip_prefix('-').filter(|_| place > 0);
+            let (sign, plain) = turned.map_or((1.0, unit.trim()), |unit| (-1.0, unit));
+            let Some((.., scale)) = units().find(|(_, name, _)| *name == plain) else {
                 let known: Vec<&str> = units().map(|(_, name, _)| *name).collect();
                 let known = known.join(", ");
                 return Err(format!("'{unit}' is no unit of {quantity}: {known}"));
             };
-            found[place] = Some(*scale);
+            found[place] = Some(sign * scale);
         }
         let mut scale = found.map(|scale| scale.unwrap_or(1.0));
         scale[2] = found[2].unwrap_or(scale[1]);
@@ -251,7 +255,9 @@ mod tests {
         let units: Units = "q=deg,t=ms,tau=mNm".parse().expect("known");
         let degree = std::f64::consts::PI / 180.0;
         assert_eq!(units.scale, [1e-3, degree, degree, degree, 1e-3, 1.0]);
-        for wrong in ["q=grad", "speed=rad", "q", ""] {
+        let units: Units = "q=-deg,tau=-Nm,i=A".parse().expect("known");
+        assert_eq!(units.scale, [1.0, -degree, -degree, -degree, -1.0, 1.0]);
+        for wrong in ["q=grad", "q=--deg", "t=-s", "speed=rad", "q", ""] {
             assert!(wrong.parse::<Units>().is_err(), "{wrong}");
         }
         for (name, columns) in LogColumns::known() {

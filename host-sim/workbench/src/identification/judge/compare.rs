@@ -175,6 +175,24 @@ pub(super) fn compare(
             }
         })
         .collect();
+    // Where the torques oppose those of the links even without the joint with most of them, all are turned.
+    let shares = (0..joints).filter(|&joint| sound(joint)).map(|joint| {
+        let products = rows.iter().zip(&of_links);
+        let sum = products.map(|((_, tau), links)| tau[joint] * links[0][joint]);
+        sum.sum::<f64>() / limit(joint).powi(2)
+    });
+    let shares: Vec<f64> = shares.collect();
+    let most = shares
+        .iter()
+        .copied()
+        .fold(0.0, |a: f64, b| if a.abs() > b.abs() { a } else { b });
+    if !turned.is_empty() && most < 0.0 && shares.iter().sum::<f64>() < most {
+        judgement.find(
+            true,
+            "the torques of all joints have the wrong sign: positive ones must accelerate +q; is this a log that counts the other way (--units tau=-Nm or i=-A)?",
+        );
+        return;
+    }
     if !turned.is_empty() {
         let names: Vec<String> = turned.iter().map(|joint| (joint + 1).to_string()).collect();
         judgement.find(true, format!(
