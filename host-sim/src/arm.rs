@@ -1,7 +1,7 @@
 //! Options that commands share: the robot, and the arm in its description.
 
 use super::terminal::show;
-use super::{Failure, positive, unusable};
+use super::{Failure, not_negative, positive, unusable};
 use clap::Args;
 use foretorque_workbench::robot::{Joint, Robot};
 use foretorque_workbench::urdf::{Import, Selection};
@@ -30,7 +30,7 @@ pub(super) struct ArmOptions {
     #[arg(long, value_name = "KG", value_parser = positive)]
     link_mass: Option<f64>,
     /// Rotor inertias reflected to the link side: one for all joints, or one for each
-    #[arg(long, value_name = "KG_M2,...", value_delimiter = ',', value_parser = positive)]
+    #[arg(long, value_name = "KG_M2,...", value_delimiter = ',', value_parser = not_negative)]
     rotor_inertia: Vec<f64>,
     /// Torque limits: one for all joints, or one for each
     #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = positive)]
@@ -42,7 +42,7 @@ pub(super) struct ArmOptions {
     #[arg(long, value_name = "NM_A,...", value_delimiter = ',', value_parser = positive)]
     drive_gains: Vec<f64>,
     /// Coulomb friction of the simulated arm: one for all joints, or one for each
-    #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = positive)]
+    #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = not_negative)]
     friction: Vec<f64>,
 }
 
@@ -95,7 +95,7 @@ impl ArmOptions {
         let rotor: Place = |joint| &mut joint.drive.rotor_inertia;
         let torque: Place = |joint| &mut joint.limits.torque;
         let velocity: Place = |joint| &mut joint.limits.velocity;
-        let gain: Place = |joint| &mut joint.drive.gain;
+        let gain: Place = |joint| joint.drive.gain.insert(1.0);
         let friction: Place = |joint| &mut joint.friction.coulomb;
         let places = [
             ("--rotor-inertia", &self.rotor_inertia, rotor),

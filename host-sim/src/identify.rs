@@ -8,8 +8,8 @@ use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
-    ColumnSet, Finding, IdentifyConfig, Judgement, METHODS, MethodName, Outcome, PrepareConfig,
-    bank_of_fit, identify, judge, longest_period_s, page, unexplained,
+    ColumnSet, Finding, GainRecord, IdentifyConfig, Judgement, Layout, METHODS, MethodName,
+    Outcome, PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::{or_dash, ratio};
@@ -119,16 +119,25 @@ fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut robot = arguments.robot.load_coupled()?;
     arguments.columns_of_log.apply(&mut robot)?;
+    let mut drive_gains = Vec::new();
+    if arguments.gains == Gains::Standstill {
+        (robot, drive_gains) = with_gains(&robot, &arguments.logs, arguments.still_rad_s)?;
+    }
     let config = config(arguments, &robot)?;
-    identify_arm(arguments, &robot, &config)
+    identify_arm(arguments, &robot, drive_gains, &config)
 }
 
 fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
     let mut truth = None;
     if let Some(name) = &arguments.truth {
         let described = Robot::load(name)?;
-        if described.joint_count() != robot.joint_count() {
-            let reason = format!("--truth {name}: another number of joints");
+        let names = |robot: &Robot| {
+            let layout = Layout::new(robot, &arguments.columns);
+            let names = layout.parameters.into_iter().map(|own| own.name);
+            names.collect::<Vec<_>>()
+        };
+        if names(&described) != names(robot) {
+            let reason = format!("--truth {name}: an arm with other parameters");
             return Err(unusable(reason));
         }
         truth = Some(match arguments.truth_seed {
@@ -139,7 +148,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     let fold_period_s = fold_period_s(arguments)?;
     let logs = [&arguments.logs, &arguments.validate, &arguments.test];
     let logs: Vec<&Path> = logs.into_iter().flatten().map(PathBuf::as_path).collect();
-    let rows = PrepareConfig::for_rows(longest_period_s(&logs, robot)?);
+    let rows = PrepareConfig::for_logs(&logs, robot)?;
     let methods = match &arguments.methods[..] {
         [] => METHODS.iter().map(|(method, _)| *method).collect(),
         chosen => chosen.to_vec(),
@@ -153,7 +162,6 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
             torque_hz: torque_hz.filter(|hz| *hz > 0.0),
             still_rad_s: arguments.still_rad_s,
         },
-        gains_from_standstill: arguments.gains == Gains::Standstill,
         fold_period_s,
         seed: arguments.seed,
         truth,
@@ -180,6 +188,7 @@ fn bank(robot: &Robot, outcome: &Outcome) -> Option<ParameterBank> {
 fn identify_arm(
     arguments: &Arguments,
     robot: &Robot,
+    drive_gains: Vec<GainRecord>,
     config: &IdentifyConfig,
 ) -> Result<(), Failure> {
     let judgement = judge(robot, &arguments.logs, &config.columns, &config.prepare)?;
@@ -189,7 +198,16 @@ fn identify_arm(
     };
     if !arguments.force {
         let way = "no bank; --force identifies all the same";
-        let judged = sound(&judgement, &arguments.logs, way);
+        let judged = sound(&judgement, &arguments.logs, way).and_then(|()| {
+            let unseen = arguments.validate.iter().chain(&arguments.test);
+            unseen.map(std::slice::from_ref).try_for_each(|log| {
+                sound(
+                    &judge(robot, log, &config.columns, &config.prepare)?,
+                    log,
+                    way,
+                )
+            })
+        });
         if judged.is_err() {
             remove_stale(out, &RESULTS)?;
             return judged;
@@ -211,6 +229,7 @@ fn identify_arm(
     let mut outcome = identify(robot, logs, validate, config, &progress)?;
     bar.finish_and_clear();
     let report = &mut outcome.report;
+    report.drive_gains = drive_gains;
     report.findings.extend(judgement.findings.iter().cloned());
     report.data_check = Some(judgement);
     report.findings.extend(unexplained(report));
@@ -229,12 +248,14 @@ fn identify_arm(
         show!("{kind}  {}", finding.text)?;
     }
     for (joint, gain) in report.drive_gains.iter().enumerate() {
+        let known =
+            |gain: Option<f64>| gain.map_or("not known".to_owned(), |gain| format!("{gain:.3}"));
         let found = match gain.std_nm_a {
-            Some(std) => format!("± {std:.3}, description {:.3}", gain.description_nm_a),
+            Some(std) => format!("± {std:.3}, description {}", known(gain.description_nm_a)),
             None => "of the description, standstill does not show it".to_owned(),
         };
-        let (joint, value) = (joint + 1, gain.gain_nm_a);
-        show!("gain  joint {joint}  {value:.3} N·m/A {found}")?;
+        let (joint, value) = (joint + 1, known(gain.gain_nm_a));
+        show!("gain  joint {joint}  {value} N·m/A {found}")?;
     }
     let (rank, of) = (report.rank, &report.condition_number_of);
     let condition = report.condition_number;

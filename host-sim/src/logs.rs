@@ -11,7 +11,7 @@ use foretorque_studies::replay::{self, ReplayPath};
 use foretorque_workbench::board::Transport;
 use foretorque_workbench::board::serial::{self, Serial};
 use foretorque_workbench::files::at;
-use foretorque_workbench::identification::{ColumnSet, PrepareConfig, judge, longest_period_s};
+use foretorque_workbench::identification::{ColumnSet, PrepareConfig, judge};
 use foretorque_workbench::overheard::Overheard;
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::{EffortKind, LOG_SOURCES, LogColumns, Robot, Units};
@@ -48,13 +48,17 @@ impl LogOptions {
                 of_joints: robot.log_columns.as_ref().is_some_and(|map| map.of_joints),
                 ..LogColumns::default()
             },
-            Some(file) => LogColumns::load(file)?,
+            Some(file) => {
+                let map = LogColumns::load(file)?;
+                LogColumns { asked: true, ..map }
+            }
         };
         if !self.names.is_empty() {
             columns.names.clone_from(&self.names);
         }
         columns.effort = self.effort.or(columns.effort);
-        columns.all_units.clone_from(&self.units);
+        let of_map = columns.units.clone().filter(|_| columns.asked);
+        columns.all_units = self.units.clone().or(of_map);
         robot.log_columns = (columns != LogColumns::default()).then_some(columns);
         Ok(())
     }
@@ -144,7 +148,7 @@ impl Replay {
         self.columns_of_log.apply(&mut robot)?;
         if !self.force {
             let logs: Vec<&Path> = self.logs.iter().map(PathBuf::as_path).collect();
-            let prepare = PrepareConfig::for_rows(longest_period_s(&logs, &robot)?);
+            let prepare = PrepareConfig::for_logs(&logs, &robot)?;
             let judgement = judge(&robot, &self.logs, &ColumnSet::default(), &prepare)?;
             sound(&judgement, &self.logs, "--force replays all the same")?;
         }

@@ -169,7 +169,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
 /// Errors: a joint whose gain is too small for that.
 fn gains_for_currents<const N: usize>(robot: &Robot) -> Result<JointVector<N>, Failure> {
     for joint in &robot.joints {
-        let (name, limit, gain) = (&joint.name, joint.limits.torque, joint.drive.gain);
+        let (name, limit, gain) = (&joint.name, joint.limits.torque, joint.gain());
         if limit / gain > f64::from(Effort::MAX) {
             let most = format!("the {:.0} A that a sample carries", Effort::MAX);
             return Err(unusable(format!(
@@ -177,7 +177,7 @@ fn gains_for_currents<const N: usize>(robot: &Robot) -> Result<JointVector<N>, F
             )));
         }
     }
-    let gain = |j: usize| robot.joints[j].drive.gain as f32;
+    let gain = |j: usize| robot.joints[j].gain() as f32;
     Ok(JointVector::from_fn(|j, _| gain(j)))
 }
 

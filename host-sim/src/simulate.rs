@@ -9,7 +9,7 @@ use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::joints;
 use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::report::closed_loop::ClosedLoopLog;
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::{Joint, Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::{Path, PathBuf};
 
@@ -154,7 +154,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     not_over(Path::new(&arguments.motion.trajectory), &arguments.out)?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    let gains = robot.joints.iter().map(|joint| joint.drive.gain);
+    let gains = robot.joints.iter().map(Joint::gain);
     let gains = arguments.current.then(|| Joints::from_iterator(gains));
     let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);
     let mut log = MotionLog::<N>::create(&arguments.out, arguments.mcap, gains, false)?;

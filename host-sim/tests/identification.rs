@@ -136,9 +136,54 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
     for (wrong, expected) in [
         ("--gains standstill", "no motor currents"),
         ("--still-rad-s 50", "no joint moves"),
+        ("--filter fourier --period-s 5", "do not repeat every 5 s"),
+        ("--truth panda", "an arm with other parameters"),
     ] {
         let identify = format!("identify --robot ur5 --log good.csv --out out {wrong}");
         refused(&here, &identify, expected);
+    }
+}
+
+#[test]
+fn the_bank_has_the_drive_gains_of_standstill() {
+    const SHARE: f64 = 1.25;
+    let here = directory("identify-standstill");
+    let robot = Robot::load("ur5").expect("built in");
+    let model = ReferenceModel::<N>::new(&robot).expect("six joints");
+    // Eight poses that are held, and a motion.
+    let states = (0..3000).map(|row| match row / 100 {
+        stand @ 0..8 => State::rest(motion(3.0 * f64::from(stand), 0.0, None).q),
+        _ => motion(f64::from(row) * PERIOD_S, 0.0, None),
+    });
+    let rows = states.enumerate().map(|(row, state)| {
+        let mut current = model.inverse_dynamics(&state);
+        for (joint, current) in robot.joints.iter().zip(current.iter_mut()) {
+            let friction = joint.friction.sliding(0.0);
+            *current -= friction;
+            *current /= SHARE * joint.gain();
+        }
+        // A second between the poses.
+        let t_s = row as f64 * PERIOD_S + f64::from(row.min(800) as u32 / 100);
+        (t_s, state, [current])
+    });
+    write_motion(&here.join("torques.csv"), ["tau"], rows).expect("writes");
+    let currents = text(here.join("torques.csv")).replace("tau", "i");
+    write(here.join("currents.csv"), currents.replace("_nm", "_a"));
+    let identify =
+        "identify --robot ur5 --log currents.csv --methods wls --gains standstill --out out";
+    assert_contains(&succeeds(&here, identify), "gain  joint 2  13.370 N·m/A");
+    let bank = succeeds(&here, "bank out/parameters.bank");
+    let of_joint = |joint: &str| {
+        let mut lines = bank
+            .lines()
+            .map(|line| line.split_whitespace().collect::<Vec<_>>());
+        let line = lines.rfind(|line| line.len() == 5 && line[0] == joint);
+        line.expect("a line for the joint")[4]
+            .parse::<f64>()
+            .expect("a gain")
+    };
+    for (joint, expected) in [("1", 10.70), ("2", SHARE * 10.696), ("3", SHARE * 10.655)] {
+        assert!((of_joint(joint) - expected).abs() < 0.02, "{joint}: {bank}");
     }
 }
 
@@ -346,8 +391,16 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     }
     let turned = planted(&good, scale(TAU..TAU + 6, -1.0).as_ref());
     write(here.join("turned.csv"), turned);
-    let identify = "identify --robot ur5 --log turned.csv --units tau=-Nm --data-check";
-    assert_contains(&succeeds(&here, identify), "no finding that refuses");
+    let step = std::f64::consts::TAU / 4096.0;
+    let coarse = each(move |row| {
+        let values = row[Q..Q + 6].iter_mut();
+        values.for_each(|q| *q = (*q / step).round() * step);
+    });
+    write(here.join("coarse.csv"), planted(&good, coarse.as_ref()));
+    for sound in ["turned.csv --units tau=-Nm", "coarse.csv"] {
+        let identify = format!("identify --robot ur5 --log {sound} --data-check");
+        assert_contains(&succeeds(&here, &identify), "no finding that refuses");
+    }
     let mut loaded = Robot::load("ur5").expect("built in");
     let last = loaded.joints.last_mut().expect("six");
     let hand = Link {

@@ -132,6 +132,9 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     let mut link_end = Placement::identity();
     for (index, joint) in raw.joints.iter().enumerate() {
         let check = check.inside(&format!("joints[{index}]."));
+        let mut before = raw.joints.iter().take(index);
+        let is_new = before.all(|other| other.name != joint.name);
+        check.that(is_new, "name", "comes twice")?;
         let (placement, end) = match (&joint.dh, &joint.frame) {
             (Some(dh), None) => {
                 check.finite("dh", &[dh.d_m, dh.a_m, dh.alpha_rad])?;
@@ -234,7 +237,7 @@ fn check_numbers(joint: &JointFile, check: &Check<'_>) -> Result<(), Refusal> {
     let (stribeck_velocity, cycles) = (friction.stribeck_velocity, friction.cogging_cycles_rev);
     for (field, value, positive) in [
         ("drive.rotor_inertia_kg_m2", drive.rotor_inertia, false),
-        ("drive.gain_nm_a", drive.gain, true),
+        ("drive.gain_nm_a", drive.gain.unwrap_or(1.0), true),
         ("friction.viscous_nm_s_rad", friction.viscous, false),
         ("friction.coulomb_nm", friction.coulomb, false),
         ("friction.stribeck_ratio", friction.stribeck_ratio, false),

@@ -192,6 +192,9 @@ pub struct LogColumns {
     /// Units of all logs, also of those with the project's own columns (`--units`).
     #[serde(skip)]
     pub all_units: Option<Units>,
+    /// The map was asked for: what it names must be there, and its units hold for all columns.
+    #[serde(skip)]
+    pub asked: bool,
     /// The one known source whose columns are taken (`--columns-from`).
     #[serde(skip)]
     pub source: Option<String>,

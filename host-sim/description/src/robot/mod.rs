@@ -43,9 +43,9 @@ pub struct Drive {
     /// Rotor inertia reflected to the link side, kg·m².
     #[serde(rename = "rotor_inertia_kg_m2", default)]
     pub rotor_inertia: f64,
-    /// Joint torque a motor current makes, N·m/A.
-    #[serde(rename = "gain_nm_a", default = "one")]
-    pub gain: f64,
+    /// Joint torque a motor current makes, N·m/A; `None` where it is not known.
+    #[serde(rename = "gain_nm_a", skip_serializing_if = "Option::is_none")]
+    pub gain: Option<f64>,
     /// Resolution of the joint encoder, bits a revolution.
     pub encoder_bits: u32,
 }
@@ -141,6 +141,19 @@ pub struct Joint {
     pub link_frame: Placement,
     /// The standard DH frame of the link, at its far end, in the joint frame; `None` where the description gives no DH row.
     pub dh_frame: Option<Placement>,
+}
+
+/// Largest motor current at the torque limit with an assumed gain, A: a board's sample carries up to 512 A.
+const CURRENT: f64 = 500.0;
+
+impl Joint {
+    /// Drive gain, N·m/A; where it is not known the least power of ten, from 1 N·m/A on, with which a simulated drive stays
+    /// within 500 A.
+    pub fn gain(&self) -> f64 {
+        let least = (self.limits.torque / CURRENT).max(1.0);
+        let assumed = || 10.0_f64.powi(least.log10().ceil() as i32);
+        self.drive.gain.unwrap_or_else(assumed)
+    }
 }
 
 /// A serial arm of revolute joints.

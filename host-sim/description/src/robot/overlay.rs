@@ -99,8 +99,9 @@ pub(super) fn read(
         link_mass: selection.link_mass.or(overlay.link_mass_kg),
     };
     let beside = Path::new(path).with_file_name(&overlay.from);
-    if beside == Path::new(path) {
-        return Err(field(FROM, "names this file itself".to_owned()));
+    if has_no_end(&beside) {
+        let problem = format!("the files that it names lead to no description in {CHAIN} steps");
+        return Err(field(FROM, problem));
     }
     let built_in = Robot::built_in().any(|name| name == overlay.from) && !beside.exists();
     let below = match built_in {
@@ -110,6 +111,23 @@ pub(super) fn read(
     let import = Robot::load_selected(&below, &selection)?;
     let robot = merged(path, &import.robot, overlay.values, &field)?;
     Ok(Some(Import { robot, ..import }))
+}
+
+/// Longest chain of overlays.
+const CHAIN: usize = 16;
+
+/// Every file from `path` on is an overlay of the next one: two of them name each other.
+fn has_no_end(path: &Path) -> bool {
+    let mut path = path.to_owned();
+    (0..CHAIN).all(|_| {
+        let table = std::fs::read_to_string(&path).map(|text| text.parse::<Table>());
+        let from = table.ok().and_then(Result::ok);
+        let from = from.as_ref().and_then(|table| table.get(FROM)?.as_str());
+        from.is_some_and(|from| {
+            path.set_file_name(from);
+            true
+        })
+    })
 }
 
 /// `robot` with the values of `overlay`.

@@ -53,7 +53,8 @@ fn bad_descriptions_are_refused_with_file_and_field() {
         [-6.283185307179586, | [7.0, | joints[0].limits.position_rad: lower end must be below upper end
         dh = { d_m = 0.089159, a_m = 0.0, alpha_rad = 1.5707963267948966 } | | joints[0].dh: give exactly one of 'dh' and 'frame'
         name = \"ur5\" | name = \"UR 5\" | name: must be lower-case letters, digits and underscores, a letter first
-        torque_nm = 150.0 | torque_nm = 0 | joints[0].limits.torque_nm: is 0, must be positive";
+        torque_nm = 150.0 | torque_nm = 0 | joints[0].limits.torque_nm: is 0, must be positive
+        name = \"elbow\" | name = \"shoulder_pan\" | joints[2].name: comes twice";
     for case in cases.trim().lines() {
         let [good, bad, message] = case.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
             panic!("three columns: {case}");
@@ -150,8 +151,13 @@ fn an_overlay_completes_the_file_beside_it() {
         let error = error.strip_prefix(&format!("{file}: ")).unwrap_or(&error);
         assert!(error.starts_with(message.trim()), "{more}: {error}");
     }
-    let itself = Robot::parse(&file, "from = 'arm.toml'").unwrap_err();
-    assert!(itself.to_string().ends_with("from: names this file itself"));
+    let endless = "from: the files that it names lead to no description in 16 steps";
+    for (own, other) in [("arm.toml", "arm.toml"), ("other.toml", "arm.toml")] {
+        std::fs::write(&file, format!("from = '{own}'")).unwrap();
+        std::fs::write(here.join("other.toml"), format!("from = '{other}'")).unwrap();
+        let error = Robot::load(&file).unwrap_err();
+        assert!(error.to_string().ends_with(endless), "{error}");
+    }
     std::fs::remove_dir_all(&here).unwrap();
 }
 

@@ -14,8 +14,6 @@ const VELOCITY: f64 = 2.0;
 /// Torque limit where the file gives none, in units of the weight at full stretch with friction and rotor at their largest, and
 /// added to it, N·m.
 const TORQUE: (f64, f64) = (1.5, 1.0);
-/// Largest motor current at the torque limit with an assumed gain, A: a board's sample carries up to 512 A.
-const CURRENT: f64 = 500.0;
 /// Largest share of a torque limit that friction takes at the velocity limit.
 const FRICTION_SHARE: f64 = 0.75;
 
@@ -90,7 +88,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             link,
             drive: Drive {
                 rotor_inertia: element.rotor,
-                gain: 1.0,
+                gain: None,
                 encoder_bits: ENCODER_BITS,
             },
             friction: friction(element).map_err(of_joint)?,
@@ -113,7 +111,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     }
     wide_links(&joints, &link_frame, &mut notes);
     assume_torques(&mut joints, &mut notes);
-    assume_gains(&mut joints, &mut notes);
+    note_drives(&joints, &mut notes);
     lower_speeds(&mut joints, &mut notes);
     let robot = Robot {
         name: plain_name(&document.name),
@@ -288,21 +286,12 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
     }
 }
 
-/// Takes as gain of each drive the least power of ten, from 1 N·m/A on, with which its current stays within [`CURRENT`].
-fn assume_gains(joints: &mut [Joint], notes: &mut Vec<String>) {
+/// Notes what is not known of the drives.
+fn note_drives(joints: &[Joint], notes: &mut Vec<String>) {
     let bare = joints.iter().all(|joint| joint.drive.rotor_inertia == 0.0);
     let rotors = if bare { "rotor inertias 0, " } else { "" };
-    let mut gains = "1 N·m/A".to_owned();
-    for joint in joints {
-        while joint.limits.torque > CURRENT * joint.drive.gain {
-            joint.drive.gain *= 10.0;
-        }
-        if joint.drive.gain > 1.0 {
-            gains += &format!(" but {} N·m/A at '{}'", joint.drive.gain, joint.name);
-        }
-    }
     notes.push(format!(
-        "drives are not described: {rotors}gains {gains}, {ENCODER_BITS}-bit encoders"
+        "drives are not described: {rotors}gains not known, {ENCODER_BITS}-bit encoders"
     ));
 }
 

@@ -99,8 +99,18 @@ fn xml(text: &str) -> Result<roxmltree::Document<'_>, roxmltree::Error> {
 
 /// The XML of a file; a document type is allowed.
 pub(super) fn parsed(text: &str) -> Result<roxmltree::Document<'_>, String> {
-    xml(text).map_err(|error| no_robot(&error.to_string()))
+    let xml = xml(text).map_err(|error| no_robot(&error.to_string()))?;
+    let is_deep = |node: Node<'_, '_>| node.ancestors().nth(DEEPEST).is_some();
+    match xml.descendants().any(is_deep) {
+        true => Err(no_robot(&format!(
+            "more than {DEEPEST} elements in each other"
+        ))),
+        false => Ok(xml),
+    }
 }
+
+/// Elements in each other: what reads them calls itself for each.
+const DEEPEST: usize = 500;
 
 /// Reads all links and joints of a URDF.
 pub(super) fn read(text: &str) -> Result<Document, String> {

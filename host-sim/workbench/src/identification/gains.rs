@@ -26,7 +26,7 @@ struct Stand {
 /// The robot with drive gains from standstill, and their records.
 ///
 /// Errors: see [`standstill_gains`].
-pub(super) fn with_gains(
+pub fn with_gains(
     robot: &Robot,
     logs: &[PathBuf],
     still_rad_s: f64,
@@ -52,13 +52,18 @@ fn standstill_gains(
     let model = RigidBodies::new(robot);
     // Gravity torque and mean current of each stand.
     let mut stands: Vec<(PerJoint<f64>, PerJoint<f64>)> = Vec::new();
-    let gain = PerJoint::from_fn(model.joints(), |joint| robot.joints[joint].drive.gain);
+    // With gains of one a torque is a current.
+    let mut plain = robot.clone();
+    plain
+        .joints
+        .iter_mut()
+        .for_each(|joint| joint.drive.gain = Some(1.0));
     for path in logs {
-        let mut reader = LogReader::open(path, robot)?;
+        let mut reader = LogReader::open(path, &plain)?;
         if !reader.has_currents {
             return Err(refused(path, "no motor currents to find drive gains from"));
         }
-        for_each_stand(&mut reader, &gain, still_rad_s, |stand| {
+        for_each_stand(&mut reader, model.joints(), still_rad_s, |stand| {
             let mean = |sum: PerJoint<f64>| sum.map(|sum| sum / stand.rows);
             stands.push((model.gravity_torques(&mean(stand.q)), mean(stand.current)));
         })?;
@@ -71,20 +76,21 @@ fn standstill_gains(
         let count = stands.len();
         let deviation = (rest / (count.max(2) - 1) as f64 / power).sqrt() / inverse;
         let known = count >= FEWEST && inverse > 0.0 && deviation < LARGEST_DEVIATION;
+        let described = robot.joints[joint].drive.gain;
         GainRecord {
-            gain_nm_a: if known { 1.0 / inverse } else { gain[joint] },
+            gain_nm_a: known.then(|| 1.0 / inverse).or(described),
             std_nm_a: known.then(|| deviation / inverse),
-            description_nm_a: gain[joint],
+            description_nm_a: described,
             stands: count,
         }
     };
-    Ok((0..gain.len()).map(record).collect())
+    Ok((0..model.joints()).map(record).collect())
 }
 
 /// Calls `take` with every stand of a log that lasts long enough.
 fn for_each_stand(
     reader: &mut LogReader,
-    gain: &PerJoint<f64>,
+    joints: usize,
     still_rad_s: f64,
     mut take: impl FnMut(Stand),
 ) -> Result<(), TableError> {
@@ -112,13 +118,13 @@ fn for_each_stand(
         if still {
             let stand = stand.get_or_insert_with(|| Stand {
                 from_s: row.t_s,
-                q: PerJoint::repeat(gain.len(), 0.0),
-                current: PerJoint::repeat(gain.len(), 0.0),
+                q: PerJoint::repeat(joints, 0.0),
+                current: PerJoint::repeat(joints, 0.0),
                 rows: 0.0,
             });
-            for (joint, gain) in gain.iter().enumerate() {
+            for joint in 0..joints {
                 stand.q[joint] += row.q[joint];
-                stand.current[joint] += row.tau[joint] / gain;
+                stand.current[joint] += row.tau[joint];
             }
             stand.rows += 1.0;
         }

@@ -3,7 +3,6 @@
 use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
-use super::gains::with_gains;
 use super::judge::{Judgement, after_fit};
 use super::methods::{Fit, MethodName, wls};
 use super::normal::CoggingAmplitudes;
@@ -34,8 +33,6 @@ pub struct IdentifyConfig {
     pub prepare: PrepareConfig,
     /// Period on which training logs are folded and projected on its harmonics instead of filtered, s.
     pub fold_period_s: Option<f64>,
-    /// Find the drive gains from standstill first.
-    pub gains_from_standstill: bool,
     /// Seed of random starts, of the split and of resampling.
     pub seed: u64,
     /// The robot whose parameters are the truth, if it is known.
@@ -57,7 +54,6 @@ impl IdentifyConfig {
             columns,
             prepare,
             fold_period_s: None,
-            gains_from_standstill: false,
             seed,
             truth: None,
             test: Vec::new(),
@@ -97,19 +93,13 @@ pub fn identify(
     for path in logs.iter().chain(validate).chain(&config.test) {
         config.prepare.check(path, robot)?;
     }
-    let (robot, drive_gains) = if config.gains_from_standstill {
-        progress("drive gains");
-        with_gains(robot, logs, config.prepare.still_rad_s)?
-    } else {
-        (robot.clone(), Vec::new())
-    };
     let (on_board, left_out) = config.columns.on_board();
-    let [layout, board] = [&config.columns, &on_board].map(|columns| Layout::new(&robot, columns));
+    let [layout, board] = [&config.columns, &on_board].map(|columns| Layout::new(robot, columns));
     let mut notes = Vec::new();
-    let dataset = gather(&robot, &layout, logs, config, &mut notes, progress)?;
+    let dataset = gather(robot, &layout, logs, config, &mut notes, progress)?;
     let data = TrainingData::all(&dataset);
     let problem = Problem {
-        robot: &robot,
+        robot,
         layout: &layout,
         board: &board,
         methods: &config.methods,
@@ -146,7 +136,7 @@ pub fn identify(
         }
     }
     if let Some(fit) = study.results.iter().find_map(|result| result.fit.as_ref()) {
-        after_fit(&mut judgement, &robot, &layout, fit);
+        after_fit(&mut judgement, robot, &layout, fit);
     }
     let first = validate.first().map(|path| key_of(path, validate));
     let errors = |name: &str| {
@@ -172,7 +162,6 @@ pub fn identify(
         headline_description_rmse_nm,
         headline_torque_rms_nm: size,
         findings: judgement.findings,
-        drive_gains,
         logs: logs.iter().map(|path| key_of(path, logs)).collect(),
         notes,
         recommended: best.name.to_string(),
@@ -266,7 +255,7 @@ const INDIFFERENT: f64 = 0.03;
 fn over(own: &[Option<f64>], other: &[Option<f64>], size: &[Option<f64>]) -> f64 {
     let joints = own.iter().zip(other).zip(size);
     let ratios = joints.filter_map(|((own, other), size)| {
-        let least = INDIFFERENT * (*size)?;
+        let least = INDIFFERENT * size.filter(|size| *size > 0.0)?;
         Some((*own)?.hypot(least) / (*other)?.hypot(least))
     });
     let logs: Vec<f64> = ratios.filter(|ratio| *ratio > 0.0).map(f64::ln).collect();
@@ -323,7 +312,8 @@ pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
         }
     }
     for (gain, joint) in bank.drive_gains_nm_a.iter_mut().zip(&robot.joints) {
-        *gain = joint.drive.gain as f32;
+        // 0: not known.
+        *gain = joint.drive.gain.unwrap_or_default() as f32;
     }
     Some(bank)
 }

@@ -77,7 +77,7 @@ const LARGEST: f64 = 1e7;
 const TURN_RAD: f64 = TAU - 0.01;
 
 impl LogReader {
-    /// Opens a log. Own column names win over those of the map; time, position and torque (or current) must be there.
+    /// Opens a log. Column names of the map win over the project's own; time, position and torque (or current) must be there.
     /// Without either, the columns of a known source are taken.
     ///
     /// Errors: [`TableError`] of the header.
@@ -92,8 +92,9 @@ impl LogReader {
             Some(q) => is_there(&rows, q, robot),
             None => false,
         };
-        let (map, mapped) = if own || named(&given) {
-            (given.clone(), !own)
+        let by_map = named(&given);
+        let (map, mapped) = if own || by_map {
+            (given.clone(), by_map)
         } else {
             let known = LogColumns::known();
             let Some((source, map)) = known.into_iter().find(|(source, map)| {
@@ -117,13 +118,15 @@ impl LogReader {
         let own_units = map.all_units.clone().unwrap_or_default().scale;
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
         let map_units = map_units.cloned().unwrap_or_default().scale;
-        let time = match (rows.find("t_s")?, &map.t_s) {
-            (Some(place), _) => (place, own_units[0]),
-            (None, Some(name)) => (rows.require(name)?, map_units[0]),
-            (None, None) => return Err(missing("t_s")),
+        let time = match (&map.t_s, rows.find("t_s")?) {
+            (Some(name), own) if map.asked || own.is_none() || has(&rows, name) => {
+                (rows.require(name)?, map_units[0])
+            }
+            (_, Some(place)) => (place, own_units[0]),
+            (_, None) => return Err(missing("t_s")),
         };
         let quantity = |unit: usize, name, names: &Option<ColumnNames>| {
-            let found = joint_places(&rows, name, names.as_ref(), robot)?;
+            let found = joint_places(&rows, name, (names.as_ref(), map.asked), robot)?;
             Ok::<_, TableError>(found.map(|(places, own)| Columns {
                 places,
                 scale: PerJoint::repeat(joints, if own { own_units } else { map_units }[unit]),
@@ -144,7 +147,14 @@ impl LogReader {
         for (joint, scale) in tau.scale.iter_mut().enumerate() {
             *scale *= match effort {
                 EffortKind::Torque => 1.0,
-                EffortKind::Current => robot.joints[joint].drive.gain,
+                EffortKind::Current => robot.joints[joint].drive.gain.ok_or_else(|| {
+                    let way = "give --drive-gains, or --gains standstill where gravity loads it";
+                    let problem = format!(
+                        "currents, and the gain of joint {} is not known: {way}",
+                        joint + 1
+                    );
+                    TableError::at(path, None, problem)
+                })?,
                 EffortKind::Motor => *map.gear_ratios.get(joint).ok_or_else(|| {
                     let problem =
                         "torques of motors need gear_ratios, one a joint, in --columns-from FILE";

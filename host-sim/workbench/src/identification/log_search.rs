@@ -46,10 +46,12 @@ fn cores<'a>(names: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Columns of one quantity for all joints, and whether they have the project's own names; `None` without a column of it.
+///
+/// * `mapped` names of the map, and whether they must be there
 pub(super) fn joint_places(
     rows: &Rows,
     (name, unit): (&str, &str),
-    mapped: Option<&ColumnNames>,
+    (mapped, asked): (Option<&ColumnNames>, bool),
     robot: &Robot,
 ) -> Result<Option<(PerJoint<usize>, bool)>, TableError> {
     let joints = robot.joint_count();
@@ -60,11 +62,17 @@ pub(super) fn joint_places(
         let mut names = (0..=joints).filter_map(name);
         names.any(|name| has(rows, &name))
     };
-    let is_own = any(&own);
+    let is_own = !any(&foreign) && any(&own) && !(asked && mapped.is_some());
     let chosen: &dyn Fn(usize) -> Option<String> = match (is_own, any(&foreign)) {
         (true, _) => &own,
         (false, true) => &foreign,
-        (false, false) => return renamed(rows, mapped, robot).map(|found| Some((found?, false))),
+        (false, false) => {
+            let found = renamed(rows, mapped, robot)?;
+            if let (None, true, Some(_)) = (&found, asked, mapped) {
+                rows.require(&foreign(0).unwrap_or_default())?;
+            }
+            return Ok(found.map(|found| (found, false)));
+        }
     };
     // A seventh joint in the log of an arm with six is a log of another robot.
     if let Some(next) =
@@ -74,7 +82,11 @@ pub(super) fn joint_places(
     }
     let mut columns = PerJoint::repeat(joints, 0);
     for (joint, column) in columns.iter_mut().enumerate() {
-        *column = rows.require(&chosen(joint).unwrap_or_default())?;
+        let Some(name) = chosen(joint) else {
+            let problem = format!("{joint} names of columns for {joints} joints");
+            return Err(TableError::at(&rows.path, 1, problem));
+        };
+        *column = rows.require(&name)?;
     }
     Ok(Some((columns, is_own)))
 }

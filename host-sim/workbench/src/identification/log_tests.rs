@@ -169,6 +169,52 @@ fn every_source_gives_the_same_rows() {
 }
 
 #[test]
+fn a_map_that_was_asked_for_wins_over_own_names() {
+    // Commands under the own names, measured torques beside them.
+    let own = own();
+    let mut lines = own.lines();
+    let mut text = format!(
+        "{},{}\n",
+        lines.next().expect("header"),
+        "a1,a2,a3,a4,a5,a6"
+    );
+    for (k, line) in lines.enumerate() {
+        let (_, _, _, tau) = row(k);
+        let measured = tau.map(|tau| (-1e3 * tau).to_string()).join(",");
+        text += &format!("{line},{measured}\n");
+    }
+    let read_by = |map: &str| {
+        let mut robot = ur5();
+        let map: LogColumns = toml::from_str(map).expect("a map");
+        let all_units = map.units.clone();
+        robot.log_columns = Some(LogColumns {
+            asked: true,
+            all_units,
+            ..map
+        });
+        read_text("both.csv", &text, &robot)
+    };
+    let (rows, _) = read_by("tau_nm = 'a{}'\nunits = 'tau=-mNm'").expect("a log");
+    is_the_motion(&rows, "measured");
+    for (map, problem) in [
+        ("q_rad = 'q{2}_rad'", "is missing"),
+        ("tau_nm = ['a1', 'a2']", "2 names of columns for 6 joints"),
+        ("t_s = 'time'", "column time is missing"),
+    ] {
+        let error = read_by(map).expect_err(map);
+        assert!(error.contains(problem), "{map}: {error}");
+    }
+    let mut robot = ur5();
+    robot.joints[2].drive.gain = None;
+    let currents = own.replace("_nm", "_a").replace("tau", "i");
+    let error = read_text("currents.csv", &currents, &robot).expect_err("no gain");
+    assert!(
+        error.contains("the gain of joint 3 is not known"),
+        "{error}"
+    );
+}
+
+#[test]
 fn wrapped_angles_continue_on_continuous_joints_only() {
     let mut text = own().lines().next().expect("header").to_owned() + "\n";
     for k in 0..ROWS {
@@ -321,6 +367,6 @@ fn logs_of_coupled_joints_become_those_of_the_drives() {
         assert!(close(joint.tau[4] + joint.tau[5], tau[4]));
         assert!(close(joint.tau[4] - joint.tau[5], tau[5]));
         assert!(close(current.q[4], joint.q[4]));
-        assert!(close(current.tau[4], tau[4] * robot.joints[4].drive.gain));
+        assert!(close(current.tau[4], tau[4] * robot.joints[4].gain()));
     }
 }

@@ -30,13 +30,14 @@ mod whole_log;
 pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use dataset::SampleRow;
 pub use filter::{Butterworth, despiked};
+pub use gains::with_gains;
 pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify};
 pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
 pub use normal::{CoggingAmplitudes, JointSums};
 pub use page::page;
-pub use prepare::{Preparation, PrepareConfig, Prepared, cut_offs, longest_period_s};
+pub use prepare::{Preparation, PrepareConfig, Prepared, cut_offs};
 pub use problem::{Candidate, MethodResult, Progress};
 pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,

@@ -9,6 +9,7 @@ use super::{IdentifyError, refused};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use nalgebra::DMatrix;
+use std::f64::consts::TAU;
 use std::ops::Range;
 use std::path::Path;
 
@@ -34,15 +35,6 @@ pub fn cut_offs([motion_hz, torque_hz]: [f64; 2], period_s: f64) -> [f64; 2] {
     [motion_hz.min(0.4 / period_s), torque_hz.min(0.2 / period_s)]
 }
 
-/// Period of the rows of the slowest log, s.
-///
-/// Errors: the log's.
-pub fn longest_period_s(logs: &[&Path], robot: &Robot) -> Result<f64, IdentifyError> {
-    logs.iter().try_fold(0.0_f64, |longest, path| {
-        Ok(longest.max(WholeLog::open(path, robot)?.period_s()))
-    })
-}
-
 /// Question for the unit of the times of a log whose rows are so far apart that no filter keeps a motion; else empty.
 pub(super) fn other_unit_of_time(period_s: f64) -> String {
     const LONGEST_S: f64 = 0.2;
@@ -54,18 +46,43 @@ pub(super) fn other_unit_of_time(period_s: f64) -> String {
     }
 }
 
+/// Largest RMS error of an acceleration by the rounding of the positions, share of the acceleration limit.
+const ROUNDING: f64 = 0.05;
+
+/// Cut-off of a low pass, Hz, behind which rounding of the positions to `step`, rad, errs the acceleration by `most`, rad/s²:
+/// white noise of variance step²/12 in rows `period_s` apart.
+///
+/// ```text
+/// most² = step²/12 · 2 period ∫ (2π f)⁴ df     f from 0 to the cut-off
+/// ```
+fn cut_off_of_step(step: f64, most: f64, period_s: f64) -> f64 {
+    let power = most * most * 12.0 * 5.0 / (step * step * 2.0 * period_s * TAU.powi(4));
+    power.powf(0.2)
+}
+
 impl PrepareConfig {
     /// A joint slower than this stands still, rad/s, by default.
     pub const STILL_RAD_S: f64 = 0.05;
 
-    /// Filters of an identification for rows `period_s` apart.
-    pub fn for_rows(period_s: f64) -> Self {
-        let [motion_hz, torque_hz] = cut_offs([40.0, 20.0], period_s);
-        Self {
-            motion_hz,
-            torque_hz: Some(torque_hz),
-            still_rad_s: Self::STILL_RAD_S,
+    /// Filters of an identification for the slowest and coarsest of `logs`.
+    ///
+    /// Errors: the log's.
+    pub fn for_logs(logs: &[&Path], robot: &Robot) -> Result<Self, IdentifyError> {
+        let [mut motion_hz, mut torque_hz] = [40.0_f64, 20.0_f64];
+        for path in logs {
+            let log = WholeLog::open(path, robot)?;
+            let period_s = log.period_s();
+            for (joint, step) in robot.joints.iter().zip(&log.resolution) {
+                let most = ROUNDING * joint.limits.acceleration;
+                motion_hz = motion_hz.min(cut_off_of_step(*step, most, period_s));
+            }
+            [motion_hz, torque_hz] = cut_offs([motion_hz, torque_hz], period_s);
         }
+        Ok(Self {
+            motion_hz,
+            torque_hz: Some(torque_hz.min(0.5 * motion_hz)),
+            still_rad_s: Self::STILL_RAD_S,
+        })
     }
 
     /// Check that the rows of a log are near enough for the filters.

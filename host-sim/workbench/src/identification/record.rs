@@ -155,12 +155,12 @@ pub struct MethodRecord {
 /// Gain of one drive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GainRecord {
-    /// Gain that was used, N·m/A.
-    pub gain_nm_a: f64,
+    /// Gain that was used, N·m/A; `null` where neither standstill nor the description tells it.
+    pub gain_nm_a: Option<f64>,
     /// Its standard deviation; `null` where standstill does not determine the gain and the description's was taken.
     pub std_nm_a: Option<f64>,
     /// Gain of the description, N·m/A.
-    pub description_nm_a: f64,
+    pub description_nm_a: Option<f64>,
     /// Times the arm stood still.
     pub stands: usize,
 }

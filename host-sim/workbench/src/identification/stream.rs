@@ -80,7 +80,7 @@ fn cut_into_stretches(
         let gap = step > GAP_PERIODS * preparation.period_s;
         if let (true, Some(row)) = (gap, &row) {
             notes.push(format!(
-                "{name}:{}: column t_s: gap of {step:.4} s, more than {GAP_PERIODS} periods: split here",
+                "{name}:{}: column t_s: gap of {step:.4} s, more than four lost rows: split here",
                 row.line
             ));
         }
@@ -158,6 +158,16 @@ pub(super) fn folded(
         return Err(refused(path, problem));
     }
     let phases = fold.count.len();
+    if let Some(rows) = fold.repeats.other(phases) {
+        let found = rows * fold.row_s;
+        let problem = match rows.is_nan() {
+            true => format!(
+                "the positions do not repeat every {period_s} s: cut off what is not the excitation, or give its period"
+            ),
+            false => format!("the positions repeat every {found:.5} s, not every {period_s} s"),
+        };
+        return Err(refused(path, problem));
+    }
     let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
     let of_motion = harmonics(config.motion_hz);
     let of_torque = harmonics(config.torque_hz.unwrap_or(f64::INFINITY));
@@ -185,6 +195,39 @@ struct Fold {
     /// Positions, torques, and torques without spikes.
     tables: [Vec<f64>; 3],
     spikes: usize,
+    /// Positions of the period before, and of the row before.
+    before: (Vec<Option<f64>>, Vec<f64>),
+    repeats: Repeats,
+}
+
+/// Sums over the change Δq of a position from one period to the next, and its change dq from row to row: a period that is
+/// too long by δ rows makes Δq = δ dq.
+#[derive(Default)]
+struct Repeats {
+    /// Σ Δq², Σ Δq dq, Σ dq².
+    apart: [f64; 3],
+    /// Rows, Σ q, Σ q², joint by joint.
+    motion: Vec<[f64; 3]>,
+}
+
+/// Largest part of the motion that may differ from period to period.
+const DIFFERENT: f64 = 0.01;
+
+impl Repeats {
+    /// The period in rows, if it is not `phases`; NaN where the log has none near that.
+    fn other(&self, phases: usize) -> Option<f64> {
+        let [differences, shift, steps] = self.apart;
+        let variances = self
+            .motion
+            .iter()
+            .map(|[rows, sum, square]| square - sum * sum / rows);
+        let rest = differences - shift * shift / steps;
+        if rest > DIFFERENT * variances.sum::<f64>() {
+            return Some(f64::NAN);
+        }
+        let rows = shift / steps;
+        (rows.abs() > 0.5).then_some(phases as f64 - rows)
+    }
 }
 
 impl Fold {
@@ -209,6 +252,11 @@ impl Fold {
             t_s: vec![0.0; phases],
             tables: [(); 3].map(|()| vec![0.0; phases * joints]),
             spikes: 0,
+            before: (vec![None; phases * joints], Vec::new()),
+            repeats: Repeats {
+                motion: vec![[0.0; 3]; joints],
+                ..Repeats::default()
+            },
         })
     }
 
@@ -235,6 +283,19 @@ impl Fold {
             let phase = place.round() as usize % self.count.len();
             self.count[phase] += 1.0;
             self.t_s[phase] += row.t_s;
+            for (joint, &q) in row.q.iter().enumerate() {
+                let (periods, rows) = &mut self.before;
+                let last = periods[phase * joints + joint].replace(q);
+                if let (Some(last), Some(row)) = (last, rows.get(joint)) {
+                    let (apart, step) = (q - last, q - row);
+                    let products = [apart * apart, apart * step, step * step];
+                    let sums = self.repeats.apart.iter_mut().zip(products);
+                    sums.for_each(|(sum, product)| *sum += product);
+                }
+                let sums = self.repeats.motion[joint].iter_mut().zip([1.0, q, q * q]);
+                sums.for_each(|(sum, value)| *sum += value);
+            }
+            self.before.1 = row.q.to_vec();
             for (table, values) in self.tables.iter_mut().zip([&row.q[..], &row.tau, clean]) {
                 let sums = &mut table[phase * joints..][..joints];
                 sums.iter_mut()

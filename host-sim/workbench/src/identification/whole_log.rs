@@ -21,8 +21,12 @@ pub struct WholeLog {
     pub(super) reader: LogReader,
     /// The first rows, those put in included.
     pub(super) preview: Vec<LogRow>,
+    /// Resolution of the positions, rad.
+    pub(super) resolution: Vec<f64>,
     period_s: f64,
     clock: Clock,
+    /// Step that 95 % of the rows do not exceed, s.
+    longest_s: f64,
     last: Option<LogRow>,
     /// Time of the next row of the grid, s.
     next_s: f64,
@@ -57,7 +61,11 @@ impl WholeLog {
             });
         }
         let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
-        let period_s = median(&mut steps);
+        let median_s = median(&mut steps);
+        steps.sort_by(f64::total_cmp);
+        let [shortest_s, longest_s] =
+            [0.05, 0.95].map(|part| steps[(part * steps.len() as f64) as usize]);
+        let (clock, period_s) = clock(&first, [median_s, longest_s]);
         let times = repeats(&first);
         if times > 1 {
             reader.notes.push(format!(
@@ -66,13 +74,14 @@ impl WholeLog {
                 1.0 / (times as f64 * period_s)
             ));
         }
-        let (clock, period_s) = clock(&first, period_s);
         let mut log = Self {
             notes: reader.notes.clone(),
             reader,
             preview: Vec::new(),
+            resolution: resolution(&first),
             period_s,
             clock,
+            longest_s,
             last: None,
             next_s: f64::NEG_INFINITY,
             ahead: [None; 2],
@@ -80,13 +89,11 @@ impl WholeLog {
             lost: 0,
         };
         if clock == Clock::Stamps {
-            steps.sort_by(f64::total_cmp);
-            let ends = [0.05, 0.95].map(|part| steps[(part * steps.len() as f64) as usize] * 1e3);
             log.notes.push(format!(
                 "{}: rows {:.1} to {:.1} ms apart were put on a grid of {:.2} ms by their stamps",
                 path.display(),
-                ends[0],
-                ends[1],
+                1e3 * shortest_s,
+                1e3 * longest_s,
                 1e3 * log.period_s
             ));
         }
@@ -163,7 +170,18 @@ impl WholeLog {
     }
 
     /// Queues `row` and the rows lost before it.
-    fn take(&mut self, row: LogRow) {
+    fn take(&mut self, mut row: LogRow) {
+        if self.clock == Clock::Arrival {
+            let late_s = row.t_s - self.next_s;
+            if late_s <= GAP_PERIODS * self.longest_s {
+                row.t_s = self.next_s;
+                // The period of the first rows is not quite that of all.
+                self.next_s += FOLLOWED * late_s;
+            } else {
+                self.next_s = row.t_s;
+            }
+            self.next_s += self.period_s;
+        }
         if let Some(last) = self.last.replace(row) {
             let periods = self.periods(row.t_s - last.t_s) as usize;
             let has_velocity = self.reader.has_velocity();
@@ -223,13 +241,18 @@ fn between(a: &LogRow, b: &LogRow, part: f64, has_velocity: bool) -> LogRow {
     }
 }
 
-/// A step in time of more than this many periods cuts the log; rows lost in a shorter one are put in.
-pub(super) const GAP_PERIODS: f64 = 5.0;
+/// A step in time of more than this many periods cuts the log; the rows lost in a shorter one, four at most, are put in.
+pub(super) const GAP_PERIODS: f64 = 5.5;
+/// Share of the delay of a row by which the even times follow.
+const FOLLOWED: f64 = 0.01;
 /// A step shorter than this many periods ends at a row that was stamped in time, and begins at one that was late.
 const ARRIVAL_PERIODS: f64 = 0.5;
 
 /// Largest jitter of a clock that counts as even, RMS, share of a period.
 const EVEN: f64 = 0.05;
+
+/// Share of the squared way between neighbours that noise does not reach: alone it leaves three quarters.
+const MOVES: f64 = 0.1;
 
 /// Use of the stamps of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -259,48 +282,82 @@ fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
     }
 }
 
-/// Clock of a log and its period, s, from its first rows. Where steps are uneven, the positions decide: stamps are true where
-/// a position between its neighbours is where the stamps say, rather than where even steps say.
-fn clock(rows: &[LogRow], median_s: f64) -> (Clock, f64) {
+/// Clock of a log and its period, s, from its first rows. Where steps are uneven, the positions decide: each lies between
+/// its neighbours where the stamps say, where lost rows put it, or in the middle.
+///
+/// * `steps` median step, and the one that 95 % do not exceed, s
+fn clock(rows: &[LogRow], [median_s, longest_s]: [f64; 2]) -> (Clock, f64) {
     let steps = || rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
+    let on_arrival = || {
+        let kept = || steps().filter(|step_s| *step_s <= GAP_PERIODS * longest_s);
+        (Clock::Arrival, kept().sum::<f64>() / kept().count() as f64)
+    };
+    // Rows that come in bursts.
+    if longest_s > GAP_PERIODS * median_s {
+        return on_arrival();
+    }
     let period_s = mean_period_s(steps(), median_s);
     let whole = |step_s: f64| (step_s / period_s).round().max(1.0);
-    let (mut jitter, mut count, mut time_s, mut late, mut early) = (0.0, 0.0, 0.0, 0, 0);
+    let (mut jitter, mut count, mut late, mut early) = (0.0, 0.0, 0, 0);
     for step_s in steps().filter(|step_s| *step_s <= GAP_PERIODS * period_s) {
         jitter += (step_s / period_s - whole(step_s)).powi(2);
         count += 1.0;
-        time_s += step_s;
         late += usize::from(whole(step_s) > 1.0);
         early += usize::from(step_s < ARRIVAL_PERIODS * period_s);
     }
-    // Squared errors of a position on the line between its neighbours, by the stamps and by even steps, and squared
-    // differences between both. Noise and bends are in both errors: if the stamps are true, `by_steps − by_stamps` is
-    // `apart`; if the steps are even, it is `−apart`.
-    let (mut by_stamps, mut by_steps, mut apart) = (0.0, 0.0, 0.0);
+    // Squared errors of a position on the line between its neighbours, by each of the three, and squared differences of the
+    // first from the others. Noise and bends are in all errors: if the stamps are true, the others err by as much more.
+    let (mut errors, mut apart, mut ways) = ([0.0; 3], [0.0; 3], 0.0);
     for three in rows.windows(3) {
         let [before_s, after_s] = [0, 1].map(|k| three[k + 1].t_s - three[k].t_s);
         if before_s.max(after_s) > GAP_PERIODS * period_s {
             continue;
         }
-        let stamped = before_s / (before_s + after_s);
-        let even = whole(before_s) / (whole(before_s) + whole(after_s));
+        let share = |before: f64, after: f64| before / (before + after);
+        let stamped = share(before_s, after_s);
+        let shares = [stamped, share(whole(before_s), whole(after_s)), 0.5];
         for joint in 0..three[0].q.len() {
             let [here, way] = [1, 2].map(|k| three[k].q[joint] - three[0].q[joint]);
-            by_stamps += (here - way * stamped).powi(2);
-            by_steps += (here - way * even).powi(2);
-            apart += (way * (stamped - even)).powi(2);
+            for ((error, apart), share) in errors.iter_mut().zip(&mut apart).zip(shares) {
+                *error += (here - way * share).powi(2);
+                *apart += (way * (stamped - share)).powi(2);
+            }
+            ways += way * way;
         }
     }
     let uneven = (jitter / f64::max(count, 1.0)).sqrt() > EVEN;
-    // A delay is a long step before a short one: where most long steps have one, no row is lost.
-    let on_arrival = early > 0 && 2 * early >= late;
-    match (uneven, on_arrival) {
-        (true, _) if by_steps - by_stamps > 0.5 * apart => (Clock::Stamps, period_s),
-        (true, true) => (Clock::Arrival, time_s / count),
-        (false, true) => (Clock::Arrival, median_s),
-        (false, false) if late == 0 => (Clock::Even, median_s),
-        _ => (Clock::Even, period_s),
+    let [by_stamps, by_losses, by_count] = errors;
+    let better = |other: usize| errors[other] - by_stamps > 0.5 * apart[other];
+    if uneven && better(1) && better(2) {
+        return (Clock::Stamps, period_s);
     }
+    // At rest, positions tell nothing. A delay is a long step before a short one: where most long steps have one, no row is
+    // lost.
+    let moves = by_losses.min(by_count) < MOVES * ways;
+    let no_loss = if moves {
+        by_count < by_losses
+    } else {
+        early > 0 && 2 * early >= late
+    };
+    match no_loss {
+        true => on_arrival(),
+        false if late == 0 && !uneven => (Clock::Even, median_s),
+        false => (Clock::Even, period_s),
+    }
+}
+
+/// Resolution of the positions, rad: the least change from a row to the next; 0 at rest.
+fn resolution(rows: &[LogRow]) -> Vec<f64> {
+    let joints = rows.first().map_or(0, |row| row.q.len());
+    let least = |joint: usize| {
+        let steps = rows
+            .windows(2)
+            .map(|pair| (pair[1].q[joint] - pair[0].q[joint]).abs());
+        steps.filter(|step| *step > 0.0).reduce(f64::min)
+    };
+    (0..joints)
+        .map(|joint| least(joint).unwrap_or_default())
+        .collect()
 }
 
 /// Number of rows in which the values of a moving arm are the same, median.
@@ -423,6 +480,19 @@ mod tests {
             assert!(log.lost > 70, "{}", log.lost);
             assert!((log.period_s() - 8e-3).abs() < 1e-4, "{}", log.period_s());
         }
+        // Rows of 2 ms in bursts of eight, and with delays of up to a period.
+        let even: Vec<f64> = (0..400).map(|k| 2e-3 * f64::from(k)).collect();
+        let burst = |(k, _): (usize, &f64)| 16e-3 * (k / 8) as f64 + 2e-5 * (k % 8) as f64;
+        let delay = |(k, t): (usize, &f64)| t + 1.9e-3 * (k * 7 % 19) as f64 / 19.0;
+        let all = even.iter().enumerate();
+        for stamps in [
+            all.clone().map(burst).collect::<Vec<_>>(),
+            all.map(delay).collect(),
+        ] {
+            let (rows, log) = written(&even, &stamps, None);
+            assert_eq!((rows.len(), log.lost), (even.len(), 0));
+            assert!((log.period_s() - 2e-3).abs() < 5e-5, "{}", log.period_s());
+        }
         // Even rows whose stamps are rounded to 2 ms: the median step is 10 ms.
         let even: Vec<f64> = (0..400).map(|k| 32e-3 / 3.0 * f64::from(k)).collect();
         let rounded: Vec<f64> = even.iter().map(|t| (t / 2e-3).round() * 2e-3).collect();
@@ -471,8 +541,11 @@ mod tests {
             ("halted", halted.clone(), halted),
         ] {
             let (rows, log) = stamped(&times, &stamps);
-            let read: Vec<f64> = rows.iter().map(|row| row.t_s).collect();
-            assert_eq!((read, log.lost), (stamps, 0), "{name}");
+            assert_eq!((rows.len(), log.lost), (times.len(), 0), "{name}");
+            for (row, t) in rows.iter().zip(times) {
+                // Even, and behind by the mean delay of 1.9 ms.
+                assert!((row.t_s - t).abs() < 2e-3, "{name}: {} at {t}", row.t_s);
+            }
         }
     }
 }

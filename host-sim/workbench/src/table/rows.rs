@@ -59,8 +59,8 @@ impl<R: Read> Read for BoundedLines<R> {
     }
 }
 
-/// Separators of a CSV file in the order in which they are looked for.
-const SEPARATORS: [u8; 4] = *b",;\t ";
+/// Separators of a CSV file in the order in which they are looked for: a comma may be a decimal one.
+const SEPARATORS: [u8; 4] = *b";\t, ";
 
 impl Rows {
     pub(crate) fn open(path: &Path) -> Result<Self, TableError> {
@@ -126,6 +126,10 @@ impl Rows {
         if header.is_empty() {
             return Err(TableError::empty(path));
         }
+        let named = (!numbers && !names.is_empty()).then(|| {
+            let path = path.display();
+            format!("{path}: its own header is taken, in the place of --names")
+        });
         Ok(Self {
             path: path.to_owned(),
             header,
@@ -135,7 +139,7 @@ impl Rows {
                 separator,
             },
             previous_s: None,
-            notes: Vec::new(),
+            notes: named.into_iter().collect(),
         })
     }
 

@@ -150,6 +150,13 @@ pub(super) fn compare(
         return;
     }
     for joint in &noise {
+        if extremes[*joint].torque == 0.0 {
+            judgement.find(
+                false,
+                format!("joint {}: its torque is always zero", joint + 1),
+            );
+            continue;
+        }
         let share = 100.0 * own[*joint].rest;
         judgement.find(
             false,

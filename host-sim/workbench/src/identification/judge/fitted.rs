@@ -51,7 +51,7 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
     let shares = joints
         .enumerate()
         .filter_map(|(joint, ((error, size), noise))| {
-            let (error, size) = ((*error)?, (*size)?);
+            let (error, size) = ((*error)?, size.filter(|size| *size > 0.0)?);
             let (number, percent) = (joint + 1, 100.0 * error / size);
             let [left, all] = [error, size].map(|rms| rms * rms - noise * noise);
             (left > 0.5 * all && left > noise * noise).then(|| {
