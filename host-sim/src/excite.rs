@@ -90,8 +90,17 @@ impl From<CriterionName> for Criterion {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut robot = with_rotors(&arguments.robot.load_coupled()?)?;
     let solid = robot.joints.iter().any(|joint| !joint.capsules.is_empty());
-    if robot.coupling.is_some() && solid {
-        show!("note: collisions of links with coupled joints are not checked")?;
+    let unchecked = match robot.coupling {
+        Some(_) => Some("its joints are coupled"),
+        None => (!solid).then_some("its description has no capsules"),
+    };
+    if let Some((reason, table_m)) = unchecked.zip(arguments.table_m) {
+        let name = &robot.name;
+        return Err(unusable(format!(
+            "--table-m {table_m}: no table is checked for '{name}', {reason}: add capsules to single joints (docs/identification.md, Limits), or leave --table-m out"
+        )));
+    }
+    if robot.coupling.is_some() {
         let joints = robot.joints.iter_mut();
         joints.for_each(|joint| joint.capsules.clear());
     }
@@ -153,6 +162,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             certificate.limits.len(),
             certificate.points,
         )?;
+    }
+    if let Some(reason) = unchecked {
+        let name = &robot.name;
+        show!("note: clearances of '{name}' from table and own links are not checked: {reason}")?;
     }
     show!("{}", arguments.out.join("excitation.json").display())?;
     Ok(())

@@ -1,6 +1,6 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, its certificate is true, and a board plays it.
 
-use crate::{assert_contains, directory, succeeds, text, write};
+use crate::{assert_contains, directory, refused, succeeds, text, write};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -133,6 +133,15 @@ fn rotors_that_simulate_assumes_are_those_of_excite() {
     let search = "excite --robot bare.toml --starts 1 --iterations 8 --out";
     let silent = succeeds(&here, &format!("{search} assumed"));
     assert_contains(&silent, "rotor inertias are not described");
+    let unchecked = "from table and own links are not checked: its description has no capsules";
+    assert_contains(&silent, unchecked);
+    let table = "excite --robot bare.toml --out none --table-m 5";
+    refused(
+        &here,
+        table,
+        "--table-m 5: no table is checked for 'small5'",
+    );
+    assert!(!here.join("none").exists());
     let stated = format!("{search} stated --rotor-inertia {}", assumed.join(","));
     succeeds(&here, &stated);
     let [one, other] =

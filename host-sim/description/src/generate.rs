@@ -53,15 +53,37 @@ pub fn arm_model<const N: usize, const P: usize>(robot: &Robot) -> Option<ArmMod
 ///
 /// The text is data, left unformatted on purpose (`rustfmt::skip`), a row a line.
 pub fn arm_module(robot: &Robot) -> String {
-    let text = arms!(robot, N, P => arm_model::<N, P>(robot).map(|arm| module(&arm)), else None);
+    module_with(robot, &camel_case(&robot.name))
+}
+
+/// The module of a robot with a type called `arm`.
+fn module_with(robot: &Robot, arm: &str) -> String {
+    let text =
+        arms!(robot, N, P => arm_model::<N, P>(robot).map(|model| module(&model, arm)), else None);
     text.expect(READ)
 }
+
+/// The module of a robot has another use for the name of its type, or the language has.
+fn clashes(robot: &Robot) -> bool {
+    let arm = camel_case(&robot.name);
+    let text = module_with(robot, "");
+    let code = text.lines().filter(|line| !line.starts_with("//"));
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    // `Self` is the one keyword that begins with a capital.
+    let mut words = code.flat_map(|line| line.split(|c| !is_plain(c)));
+    arm == "Self" || words.any(|word| word == arm)
+}
+
+/// Keywords of Rust, in use and reserved.
+const KEYWORDS: &str = "as break const continue crate else enum extern false fn for if impl in let loop match mod move mut pub \
+    ref return self static struct super trait true type unsafe use where while async await dyn abstract become box do final gen \
+    macro override priv try typeof unsized virtual yield";
 
 /// The reason why a description that was read has a model.
 const READ: &str = "a description is refused unless it has 1 to 8 joints";
 
-fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>) -> String {
-    let (name, arm) = (model.name, camel_case(model.name));
+fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>, arm: &str) -> String {
+    let name = model.name;
     let (joints, parameters) = (N, model.index.count);
     let sizes = "JOINTS, PARAMETERS";
     let with_arm = format!("{arm}, {sizes}");
@@ -162,15 +184,26 @@ fn filled<T>(items: &[T], text: impl Fn(&T) -> String) -> String {
 /// After that the firmware has the arm: `firmware/foretorque/src/arm/NAME.rs` needs no other edit. The module is called like the
 /// file.
 ///
-/// Errors: of the file system; a file name that no module can have is [`std::io::ErrorKind::InvalidInput`].
+/// Errors: of the file system; a file that no module, or a robot that no type can be called like, is
+/// [`std::io::ErrorKind::InvalidInput`].
 pub fn write_arm_module(robot: &Robot, file: &Path) -> std::io::Result<()> {
     let module = file.file_stem().and_then(|stem| stem.to_str());
     let module = module.unwrap_or_default();
     let is_rust = file.extension().is_some_and(|extension| extension == "rs");
-    if !(Robot::is_name(module) && is_rust) {
-        let form = "must be called like a Rust module: lower-case letters, digits and underscores, then .rs";
-        let error = std::io::Error::new(std::io::ErrorKind::InvalidInput, form);
-        return Err(at(file, error));
+    let refused = |reason: &str| {
+        let error = std::io::Error::new(std::io::ErrorKind::InvalidInput, reason);
+        Err(at(file, error))
+    };
+    if !(Robot::is_name(module) && is_rust) || KEYWORDS.split_whitespace().any(|k| k == module) {
+        return refused(
+            "must be called like a Rust module: lower-case letters, digits and underscores, no keyword, then .rs",
+        );
+    }
+    if clashes(robot) {
+        let (name, arm) = (&robot.name, camel_case(&robot.name));
+        return refused(&format!(
+            "the type {arm} of arm '{name}' clashes with a name of Rust or of the module: give another one by --name"
+        ));
     }
     write_whole(file, arm_module(robot).as_bytes())?;
     let parent = file.with_file_name("mod.rs");
@@ -232,4 +265,51 @@ fn camel_case(name: &str) -> String {
         first.into_iter().chain(letters)
     });
     words.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_arm_cannot_be_called_like_what_its_module_uses() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        let text = arm_module(&robot);
+        let nowhere = Path::new("/nowhere");
+        let code = text.lines().filter(|line| !line.starts_with("//"));
+        let words =
+            code.flat_map(|line| line.split(|c: char| !c.is_ascii_alphanumeric() && c != '_'));
+        let first = |word: &&str| word.starts_with(|c: char| c.is_ascii_uppercase());
+        let mut used: Vec<&str> = words.filter(first).filter(|word| *word != "Ur5").collect();
+        used.push("Self");
+        used.sort_unstable();
+        used.dedup();
+        for known in ["Arm", "BaseTerm", "Placement", "LearnerConfig", "JOINTS"] {
+            assert!(used.contains(&known), "{known}");
+        }
+        for word in used {
+            robot.name = word.chars().fold(String::new(), |mut name, c| {
+                if c.is_ascii_uppercase() && !name.is_empty() {
+                    name.push('_');
+                }
+                name.push(c.to_ascii_lowercase());
+                name
+            });
+            // No arm gives a type with an underscore.
+            if camel_case(&robot.name) != word {
+                continue;
+            }
+            let error = write_arm_module(&robot, &nowhere.join("own.rs")).expect_err(word);
+            let error = error.to_string();
+            assert!(error.contains("--name") && error.contains(word), "{error}");
+        }
+        for sound in ["arm2", "my_arm", "type", "constants"] {
+            robot.name = sound.to_owned();
+            assert!(!clashes(&robot), "{sound}");
+        }
+        for keyword in ["self.rs", "type.rs", "mod.rs"] {
+            let error = write_arm_module(&robot, &nowhere.join(keyword)).expect_err(keyword);
+            assert_eq!(error.kind(), std::io::ErrorKind::InvalidInput);
+        }
+    }
 }

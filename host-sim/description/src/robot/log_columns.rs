@@ -167,6 +167,8 @@ pub struct LogColumns {
     /// Header of files that have none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub names: Vec<String>,
+    /// Topic of a ROS 2 bag with joint states of several arms.
+    pub topic: Option<String>,
     /// Time.
     pub t_s: Option<String>,
     /// Positions.

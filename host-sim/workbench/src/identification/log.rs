@@ -1,9 +1,9 @@
 //! Logs: the project's own columns, or foreign ones through the map of the robot description.
 
-use super::log_search::{has, is_there, joint_places, no_columns};
+use super::log_search::{has, is_there, joint_places, likeness, no_columns};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
-use crate::table::{Rows, TableError};
+use crate::table::{Rows, TableError, Topics};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -84,7 +84,11 @@ impl LogReader {
     pub(super) fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
         let joints = robot.joint_count();
         let given = robot.log_columns.clone().unwrap_or_default();
-        let rows = Rows::named(path, &given.names)?;
+        let topics = Topics {
+            named: given.topic.as_deref(),
+            likeness: &|names| likeness(names, given.q_rad.as_ref(), robot),
+        };
+        let rows = Rows::named(path, &given.names, &topics)?;
         let own = ["q1_rad", "q2_rad", "tau1_nm", "i1_a"];
         let own = given.source.is_none() && own.iter().any(|name| has(&rows, name));
         let mut notes = rows.notes.clone();

@@ -45,6 +45,26 @@ fn cores<'a>(names: &[&'a str]) -> Vec<&'a str> {
     names.iter().map(cut).collect()
 }
 
+/// Likeness of the joints of a message to those of the robot: 2 with all their names, 1 with these but for what all begin
+/// and end with, else 0.
+pub(super) fn likeness(names: &[String], mapped: Option<&ColumnNames>, robot: &Robot) -> usize {
+    let ours: Vec<&str> = robot.joints.iter().map(|own| own.name.as_str()).collect();
+    let there: Vec<&str> = names.iter().map(String::as_str).collect();
+    let is_there = |(joint, own): (usize, &&str)| {
+        let column = mapped.and_then(|names| names.of(joint, own));
+        let named = column
+            .as_ref()
+            .and_then(|own| own.strip_suffix("/position"));
+        there.contains(&named.unwrap_or(own))
+    };
+    if ours.iter().enumerate().all(is_there) {
+        return 2;
+    }
+    let cores_there = cores(&there);
+    let same = cores(&ours).iter().all(|own| cores_there.contains(own));
+    usize::from(same && there.len() == ours.len())
+}
+
 /// Columns of one quantity for all joints, and whether they have the project's own names; `None` without a column of it.
 ///
 /// * `mapped` names of the map, and whether they must be there

@@ -3,9 +3,10 @@
 //! Columns: `t_s` since the first message, then `NAME/position`, `NAME/velocity` and `NAME/effort` of every joint. An MCAP
 //! that this program wrote gives the columns of its topic `/measured`.
 
-use super::TableError;
+use super::{TableError, bag_files, extension};
 use crate::files::at;
-use mcap::read::Options;
+use mcap::Message;
+use mcap::read::{MessageStream, Options};
 use rusqlite::{Connection, OpenFlags};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -85,59 +86,30 @@ impl Messages {
     }
 }
 
+/// Choice of one topic with joint states among several.
+pub(crate) struct Topics<'a> {
+    /// The topic that was named.
+    pub(crate) named: Option<&'a str>,
+    /// Likeness of the joints of a message to those of the arm; 0 is none.
+    pub(crate) likeness: &'a dyn Fn(&[String]) -> usize,
+}
+
 /// Opens a bag, a file or its directory; `None` for a file of another kind. Returns header, rows and notes.
 ///
-/// Errors: a file that is no bag, has no joint states, or ends in the middle of a record.
-pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
-    let inside = |directory: &Path| {
-        let files = fs::read_dir(directory).ok()?.flatten();
-        let mut bags: Vec<PathBuf> = files.map(|file| file.path()).collect();
-        bags.retain(|path| matches!(extension(path), Some("db3" | "mcap")));
-        bags.sort();
-        bags.into_iter().next()
+/// Errors: a file that is no bag, has no joint states or several topics of them, or ends in the middle of a record.
+pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, TableError> {
+    let Some(files) = bag_files(path)? else {
+        return Ok(None);
     };
-    let file = if path.is_dir() {
-        inside(path).ok_or_else(|| refused(path, "a directory without .db3 or .mcap"))?
-    } else {
-        path.to_owned()
-    };
-    let work = match extension(&file) {
-        Some("db3") => read_sqlite,
-        Some("mcap") => read_mcap,
-        Some("parquet") => {
-            let way = "parquet is not read; write CSV: python3 -c \"import pandas as p; p.read_parquet('F').to_csv('F.csv')\"";
-            return Err(refused(path, way));
-        }
-        Some("bag") => {
-            let way = "a bag of ROS 1 is not read; convert it: rosbags-convert --src F.bag --dst F";
-            return Err(refused(path, way));
-        }
-        _ => return Ok(None),
-    };
-    drop(fs::File::open(&file).map_err(|error| at(&file, error))?);
-    let (sender, rest) = sync_channel(QUEUE);
-    std::thread::spawn(move || {
-        if let Err(error) = work(&file, &sender) {
-            // Nobody reads any more.
-            let _ = sender.send(Err(error));
-        }
-    });
-    let mut seen = Vec::new();
-    while seen.len() < LOOK_AHEAD
-        && let Ok(state) = rest.recv()
-    {
-        seen.push(state?);
-    }
-    let Some(most) = seen.iter().max_by_key(|state| state.names.len()) else {
-        return Err(TableError::empty(path));
-    };
-    let names = most.names.clone();
-    let kinds = [0, 1, 2].map(|kind| most.values[kind].len() == names.len() && !names.is_empty());
+    let (topic, Begun { seen, most, rest }) = chosen(path, &files, topics)?;
+    let JointState { names, values, .. } = &seen[most];
+    let (names, plain) = (names.clone(), seen[most].plain);
+    let kinds = [0, 1, 2].map(|kind| values[kind].len() == names.len() && !names.is_empty());
     let own = seen.iter().filter(|state| state.names.len() == names.len());
     let start_ns = own.map(|state| state.stamp_ns).next().unwrap_or(0);
     let mut header = vec!["t_s".to_owned()];
     for name in &names {
-        if most.plain {
+        if plain {
             header.push(name.clone());
             continue;
         }
@@ -145,9 +117,9 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
         let quantities = quantities.filter(|(_, kind)| *kind);
         header.extend(quantities.map(|(quantity, _)| format!("{name}/{quantity}")));
     }
-    let name = path.display();
-    let note = format!("{name}: joint states by name, time by the stamps of their headers");
-    let notes = if most.plain { Vec::new() } else { vec![note] };
+    let (name, time) = (path.display(), "time by the stamps of their headers");
+    let note = format!("{name}: joint states of {topic} by name, {time}");
+    let notes = if plain { Vec::new() } else { vec![note] };
     let messages = Messages {
         seen: seen.into_iter(),
         rest,
@@ -160,117 +132,193 @@ pub(super) fn open(path: &Path) -> Result<Option<Bag>, TableError> {
     Ok(Some((header, messages, notes)))
 }
 
-fn extension(path: &Path) -> Option<&str> {
-    path.extension().and_then(|extension| extension.to_str())
-}
-
 fn refused(path: &Path, problem: impl Into<String>) -> TableError {
     TableError::at(path, None, problem)
 }
 
-/// The topic with joint states: `/joint_states` before others.
-///
-/// * `topics` name and type
-fn chosen(path: &Path, topics: &[(String, String)]) -> Result<String, TableError> {
-    let names = topics.iter().filter(|(_, kind)| kind == JOINT_STATE);
-    let mut names: Vec<&String> = names.map(|(name, _)| name).collect();
-    let own = topics.iter().filter(|(_, kind)| kind == MEASURED);
-    names.extend(own.map(|(name, _)| name));
-    names.sort_by_key(|name| (*name != "/joint_states", *name));
-    names.first().map(|name| (*name).clone()).ok_or_else(|| {
-        let found = topics.iter().map(|(name, kind)| format!("{name} ({kind})"));
-        let found = found.collect::<Vec<_>>().join(", ");
-        refused(path, format!("no topic of {JOINT_STATE}, only {found}"))
-    })
+/// Messages of a topic that is being read.
+struct Begun {
+    /// The first ones.
+    seen: Vec<JointState>,
+    /// Place in `seen` of the one with most joints.
+    most: usize,
+    rest: Receiver<Item>,
 }
 
-/// Sends a message, with the time of its receipt where its header has no stamp; false if nobody reads any more.
-fn send(
-    path: &Path,
-    to: &SyncSender<Item>,
-    data: &[u8],
-    received_ns: i64,
-    count: u64,
-) -> Result<bool, TableError> {
-    let mut state = decode(data)
-        .or_else(|| columns(data))
-        .ok_or_else(|| TableError::at(path, count, format!("no {JOINT_STATE} in plain CDR")))?;
-    if state.stamp_ns == 0 && (count > 1 || state.plain) {
-        state.stamp_ns = received_ns;
+/// Begins to read a topic; `None` where it has no message.
+fn begin(files: &[PathBuf], topic: &str) -> Result<Option<Begun>, TableError> {
+    let (sender, rest) = sync_channel(QUEUE);
+    let (files, topic) = (files.to_owned(), topic.to_owned());
+    std::thread::spawn(move || {
+        let mut to = Sink { sender, count: 0 };
+        let mut read = files.iter().map(|file| match extension(file) {
+            Some("db3") => read_sqlite(file, &topic, &mut to),
+            _ => read_mcap(file, |message| match message.channel.topic == topic {
+                true => to.send(file, &message.data, message.log_time as i64),
+                false => Ok(true),
+            }),
+        });
+        if let Some(Err(error)) = read.find(|more| !matches!(more, Ok(true))) {
+            drop(read);
+            // Nobody may read any more.
+            let _ = to.sender.send(Err(error));
+        }
+    });
+    let mut seen: Vec<JointState> = Vec::new();
+    while seen.len() < LOOK_AHEAD
+        && let Ok(state) = rest.recv()
+    {
+        seen.push(state?);
     }
-    Ok(to.send(Ok(state)).is_ok())
+    let most = (0..seen.len()).max_by_key(|&place| seen[place].names.len());
+    Ok(most.map(|most| Begun { seen, most, rest }))
 }
 
-fn read_sqlite(path: &Path, to: &SyncSender<Item>) -> Result<(), TableError> {
-    let read = || -> rusqlite::Result<_> {
-        let bag = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
-        let topics = bag
-            .prepare("SELECT name, type FROM topics")?
+/// The topic with joint states: the one that was named, the only one, or the one with the joints of the arm.
+fn chosen(
+    path: &Path,
+    files: &[PathBuf],
+    topics: &Topics<'_>,
+) -> Result<(String, Begun), TableError> {
+    let mut there: Vec<(String, String)> = Vec::new();
+    for file in files {
+        there.extend(match extension(file) {
+            Some("db3") => sqlite_topics(file)?,
+            _ => mcap_topics(file)?,
+        });
+    }
+    there.sort();
+    there.dedup();
+    let of_joints = |kind: &str| kind == JOINT_STATE || kind == MEASURED;
+    let is_named = |name: &str| topics.named.is_none_or(|named| named == name);
+    let own = there
+        .iter()
+        .filter(|own| of_joints(&own.1) && is_named(&own.0));
+    let own: Vec<&str> = own.map(|own| own.0.as_str()).collect();
+    if own.is_empty() {
+        let found = there.iter().map(|(name, kind)| format!("{name} ({kind})"));
+        let found = found.collect::<Vec<_>>().join(", ");
+        let named = topics.named.unwrap_or("topic");
+        let problem = format!("no {named} of {JOINT_STATE}, only {found}");
+        return Err(refused(path, problem));
+    }
+    let mut topic = own[0];
+    if own.len() > 1 {
+        let mut alike = Vec::new();
+        for &topic in &own {
+            if let Some(Begun { seen, most, .. }) = begin(files, topic)? {
+                alike.push(((topics.likeness)(&seen[most].names), topic));
+            }
+        }
+        let most = alike.iter().map(|own| own.0).max();
+        alike.retain(|own| Some(own.0) == most);
+        topic = match alike[..] {
+            [(1.., topic)] => topic,
+            _ => {
+                let (all, first) = (own.join(", "), own[0]);
+                let problem = format!(
+                    "joint states in {all}, and not one of them alone has the joints of the arm: write `topic = \"{first}\"` into a file for --columns-from"
+                );
+                return Err(refused(path, problem));
+            }
+        };
+    }
+    let begun = begin(files, topic)?.ok_or_else(|| TableError::empty(path))?;
+    Ok((topic.to_owned(), begun))
+}
+
+/// Messages on their way to the table.
+struct Sink {
+    sender: SyncSender<Item>,
+    /// Messages so far.
+    count: u64,
+}
+
+impl Sink {
+    /// Sends a message, with the time of its receipt where its header has no stamp; false if nobody reads any more.
+    fn send(&mut self, path: &Path, data: &[u8], received_ns: i64) -> Result<bool, TableError> {
+        self.count += 1;
+        let wrong = || TableError::at(path, self.count, format!("no {JOINT_STATE} in plain CDR"));
+        let mut state = decode(data).or_else(|| columns(data)).ok_or_else(wrong)?;
+        if state.stamp_ns == 0 && (self.count > 1 || state.plain) {
+            state.stamp_ns = received_ns;
+        }
+        Ok(self.sender.send(Ok(state)).is_ok())
+    }
+}
+
+fn no_bag(path: &Path) -> impl Fn(rusqlite::Error) -> TableError {
+    move |error| refused(path, format!("no ROS 2 bag: {error}"))
+}
+
+fn sqlite(path: &Path) -> Result<Connection, TableError> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY;
+    Connection::open_with_flags(path, flags).map_err(no_bag(path))
+}
+
+/// Names and types of the topics.
+fn sqlite_topics(path: &Path) -> Result<Vec<(String, String)>, TableError> {
+    let bag = sqlite(path)?;
+    let read = || {
+        bag.prepare("SELECT name, type FROM topics")?
             .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
-            .collect::<rusqlite::Result<Vec<(String, String)>>>()?;
-        Ok((bag, topics))
+            .collect::<rusqlite::Result<_>>()
     };
-    let wrong = |error: rusqlite::Error| refused(path, format!("no ROS 2 bag: {error}"));
-    let (bag, topics) = read().map_err(wrong)?;
-    let topic = chosen(path, &topics)?;
+    read().map_err(no_bag(path))
+}
+
+/// Sends the messages of a topic; false if nobody reads any more.
+fn read_sqlite(path: &Path, topic: &str, to: &mut Sink) -> Result<bool, TableError> {
+    let wrong = no_bag(path);
+    let bag = sqlite(path)?;
     let mut statement = bag
         .prepare(
             "SELECT messages.timestamp, messages.data FROM messages JOIN topics ON topics.id = messages.topic_id \
              WHERE topics.name = ?1 ORDER BY messages.timestamp, messages.id",
         )
-        .map_err(wrong)?;
-    let mut rows = statement.query([topic]).map_err(wrong)?;
-    let mut count = 0;
-    while let Some(row) = rows.next().map_err(wrong)? {
-        count += 1;
-        let received_ns: i64 = row.get(0).map_err(wrong)?;
-        let data = row.get_ref(1).map_err(wrong)?.as_blob();
+        .map_err(&wrong)?;
+    let mut rows = statement.query([topic]).map_err(&wrong)?;
+    while let Some(row) = rows.next().map_err(&wrong)? {
+        let received_ns: i64 = row.get(0).map_err(&wrong)?;
+        let data = row.get_ref(1).map_err(&wrong)?.as_blob();
         let data = data.map_err(|error| refused(path, error.to_string()))?;
-        if !send(path, to, data, received_ns, count)? {
-            break;
+        if !to.send(path, data, received_ns)? {
+            return Ok(false);
         }
     }
-    Ok(())
+    Ok(true)
 }
 
-/// Reads to the last whole chunk of a file that was cut.
-fn read_mcap(path: &Path, to: &SyncSender<Item>) -> Result<(), TableError> {
+/// Gives the messages of a file to `take` until that is false, or to the last whole chunk of a file that was cut; false as `take`.
+fn read_mcap(
+    path: &Path,
+    mut take: impl FnMut(&Message<'_>) -> Result<bool, TableError>,
+) -> Result<bool, TableError> {
     let bytes = fs::read(path).map_err(|error| at(path, error))?;
-    let open = || {
-        mcap::MessageStream::new_with_options(&bytes, Options::IgnoreEndMagic.into())
-            .map_err(|error| refused(path, format!("no MCAP: {error}")))
-    };
-    let mut topics: Vec<(String, String)> = Vec::new();
-    let mut joint_states = 0;
-    for message in open()? {
-        let message = match message {
-            Ok(message) => message,
-            Err(error) if topics.is_empty() => {
-                return Err(refused(path, format!("no MCAP: {error}")));
-            }
-            // The file was cut.
+    let wrong = |error| refused(path, format!("no MCAP: {error}"));
+    let messages = MessageStream::new_with_options(&bytes, Options::IgnoreEndMagic.into());
+    for (place, message) in messages.map_err(wrong)?.enumerate() {
+        match message {
+            Ok(message) if !take(&message)? => return Ok(false),
+            Err(error) if place == 0 => return Err(wrong(error)),
             Err(_) => break,
-        };
-        let channel = &message.channel;
+            Ok(_) => {}
+        }
+    }
+    Ok(true)
+}
+
+/// Names and types of the topics.
+fn mcap_topics(path: &Path) -> Result<Vec<(String, String)>, TableError> {
+    let mut topics: Vec<(String, String)> = Vec::new();
+    read_mcap(path, |Message { channel, .. }| {
         if !topics.iter().any(|(name, _)| *name == channel.topic) {
             let kind = channel.schema.as_ref().map_or("?", |schema| &schema.name);
             topics.push((channel.topic.clone(), kind.to_owned()));
-            joint_states += usize::from(kind == JOINT_STATE || kind == MEASURED);
         }
-        if joint_states > 0 && topics.len() >= 64 {
-            break;
-        }
-    }
-    let topic = chosen(path, &topics)?;
-    let own = open()?
-        .map_while(Result::ok)
-        .filter(|message| message.channel.topic == topic);
-    for (count, message) in (1..).zip(own) {
-        if !send(path, to, &message.data, message.log_time as i64, count)? {
-            break;
-        }
-    }
-    Ok(())
+        Ok(true)
+    })?;
+    Ok(topics)
 }
 
 /// Columns of a JSON object of numbers.

@@ -7,12 +7,14 @@ mod bag;
 mod rows;
 mod writer;
 
+pub(crate) use bag::Topics;
 pub(crate) use rows::Rows;
 pub use writer::TableWriter;
 
 use crate::dynamics::{Joints, State};
-use std::io;
+use crate::files::at;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 /// One row of a table of states.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,6 +142,74 @@ pub(crate) fn is_compressed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "gz")
 }
 
+/// Files of a bag in the order of time; `None` for a file of another kind.
+fn bag_files(path: &Path) -> Result<Option<Vec<PathBuf>>, TableError> {
+    let files = match path.is_dir() {
+        true => parts(path)?,
+        false => vec![path.to_owned()],
+    };
+    for file in &files {
+        let refused = |problem: &str| Err(TableError::at(file, None, problem));
+        match extension(file) {
+            Some("db3" | "mcap") => drop(fs::File::open(file).map_err(|error| at(file, error))?),
+            Some("parquet") => {
+                return refused(
+                    "parquet is not read; write CSV: python3 -c \"import pandas as p; p.read_parquet('F').to_csv('F.csv')\"",
+                );
+            }
+            Some("bag") => {
+                return refused(
+                    "a bag of ROS 1 is not read; convert it: rosbags-convert --src F.bag --dst F",
+                );
+            }
+            _ if path.is_dir() => return refused("no .db3 or .mcap: decompress it"),
+            _ => return Ok(None),
+        }
+    }
+    Ok(Some(files))
+}
+
+/// Files of a bag's directory as its metadata list them, else by the number in their names.
+fn parts(path: &Path) -> Result<Vec<PathBuf>, TableError> {
+    let refused = |problem: &str| Err(TableError::at(path, None, problem));
+    let metadata = fs::read_to_string(path.join("metadata.yaml")).unwrap_or_default();
+    let lines = metadata.lines().map(str::trim);
+    let mut lines = lines.skip_while(|line| *line != "relative_file_paths:");
+    lines.next();
+    let listed = lines.map_while(|line| line.strip_prefix("- "));
+    let listed = listed.filter_map(|name| Path::new(name.trim_matches(['"', '\''])).file_name());
+    let listed: Vec<PathBuf> = listed.map(|name| path.join(name)).collect();
+    if !listed.is_empty() {
+        return Ok(listed);
+    }
+    let found = fs::read_dir(path).map_err(|error| at(path, error))?;
+    let found = found.flatten().map(|file| file.path());
+    let found = found.filter(|file| matches!(extension(file), Some("db3" | "mcap")));
+    // Name without number, number, file.
+    let numbered = found.map(|file| {
+        let stem = file.with_extension("").to_string_lossy().into_owned();
+        let parts = stem.rsplit_once('_');
+        let parts = parts.and_then(|(name, number)| Some((name, number.parse::<u64>().ok()?)));
+        let (name, number) = parts.unwrap_or((&stem, 0));
+        let kind = extension(&file).unwrap_or_default();
+        (format!("{name}.{kind}"), number, file)
+    });
+    let mut numbered: Vec<_> = numbered.collect();
+    numbered.sort();
+    let Some((first, .., file)) = numbered.first() else {
+        return refused("a directory without .db3 or .mcap");
+    };
+    if let Some((.., other)) = numbered.iter().find(|(name, ..)| name != first) {
+        let (file, other) = (file.display(), other.display());
+        return refused(&format!("several bags, {file} and {other}: name one file"));
+    }
+    Ok(numbered.into_iter().map(|(.., file)| file).collect())
+}
+
+fn extension(path: &Path) -> Option<&str> {
+    path.extension().and_then(|extension| extension.to_str())
+}
+
 /// A table that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
@@ -170,7 +240,6 @@ impl TableError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs;
     use tempfile::tempdir;
 
     #[test]
@@ -231,13 +300,101 @@ SOUND | : no rows
         }
     }
 
+    fn bag(name: &str) -> PathBuf {
+        let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/ros2-bags");
+        Path::new(bags).join(name)
+    }
+
+    fn copy(to: &Path, change: &str) {
+        fs::copy(bag("ur10.db3"), to).expect("copies");
+        let copy = rusqlite::Connection::open(to).expect("a bag");
+        copy.execute_batch(change).expect("changes");
+    }
+
+    fn rows(path: &Path, named: Option<&str>) -> Result<(Vec<String>, Vec<Vec<f64>>), TableError> {
+        let likeness =
+            |names: &[String]| usize::from(names.iter().any(|own| own == "shoulder_pan_joint"));
+        let topics = Topics {
+            named,
+            likeness: &likeness,
+        };
+        let (header, rows, _) = bag::open(path, &topics)?.expect("a bag");
+        Ok((header, rows.collect::<Result<_, _>>()?))
+    }
+
     #[test]
-    fn a_table_that_is_not_finished_does_not_appear() {
+    fn files_of_a_split_bag_are_read_as_one() {
         let directory = tempdir().expect("creates");
-        let path = directory.path().join("half.csv");
-        let mut writer = TableWriter::create(&path, &["a".to_owned()]).expect("creates");
-        writer.row([1.0]).expect("writes");
-        drop(writer);
-        assert!(!path.exists());
+        let middle = "(SELECT timestamp FROM messages ORDER BY timestamp LIMIT 1 OFFSET 1000)";
+        let names = ["ur10_2.db3", "ur10_10.db3"];
+        for (name, side) in names.iter().zip([">=", "<"]) {
+            let change = format!("DELETE FROM messages WHERE timestamp {side} {middle}");
+            copy(&directory.path().join(name), &change);
+        }
+        let whole = rows(&bag("ur10.db3"), None).expect("reads");
+        assert!(whole.1.len() > 3000);
+        let is_whole = || rows(directory.path(), None).expect("reads") == whole;
+        assert!(is_whole(), "by the numbers");
+        fs::rename(
+            directory.path().join(names[0]),
+            directory.path().join("b.db3"),
+        )
+        .expect("renames");
+        let error = rows(directory.path(), None).expect_err("two bags");
+        assert!(error.to_string().contains("several bags"), "{error}");
+        let metadata = "rosbag2_bagfile_information:\n  relative_file_paths:\n    - b.db3\n    - ur10_10.db3\n  files:\n";
+        fs::write(directory.path().join("metadata.yaml"), metadata).expect("writes");
+        assert!(is_whole(), "by the metadata");
+        fs::remove_file(directory.path().join("b.db3")).expect("removes");
+        let error = rows(directory.path(), None).expect_err("a file is missing");
+        assert!(error.to_string().contains("b.db3"), "{error}");
+    }
+
+    #[test]
+    fn files_of_a_split_mcap_are_read_as_one() {
+        let directory = tempdir().expect("creates");
+        let bytes = fs::read(bag("panda.mcap")).expect("reads");
+        let stream = mcap::MessageStream::new(&bytes).expect("an MCAP");
+        let messages: Vec<_> = stream.map(|message| message.expect("sound")).collect();
+        for (part, messages) in messages.chunks(400).enumerate() {
+            let file = fs::File::create(directory.path().join(format!("p_{part}.mcap")));
+            let mut writer = mcap::Writer::new(file.expect("creates")).expect("begins");
+            for message in messages {
+                writer.write(message).expect("writes");
+            }
+            writer.finish().expect("ends");
+        }
+        let whole = rows(&bag("panda.mcap"), None).expect("reads");
+        assert_eq!(whole.1.len(), 727);
+        assert!(rows(directory.path(), None).expect("reads") == whole);
+    }
+
+    #[test]
+    fn the_topic_with_the_joints_of_the_arm_is_read() {
+        let directory = tempdir().expect("creates");
+        let path = directory.path().join("two.db3");
+        let other = format!(
+            "UPDATE topics SET name = '/robot/joint_states'; ATTACH '{}' AS other; \
+             INSERT INTO topics SELECT 77, '/gripper/joint_states', type, serialization_format, offered_qos_profiles, '' FROM other.topics; \
+             INSERT INTO messages SELECT id + 100000, 77, timestamp, data FROM other.messages",
+            bag("panda.db3").display()
+        );
+        copy(&path, &other);
+        let whole = rows(&bag("ur10.db3"), None).expect("reads");
+        assert!(rows(&path, None).expect("reads") == whole);
+        let named = rows(&path, Some("/gripper/joint_states")).expect("reads");
+        assert_eq!(named.1.len(), 727);
+        let error = rows(&path, Some("/nowhere"))
+            .expect_err("no such topic")
+            .to_string();
+        assert!(error.contains("no /nowhere of "), "{error}");
+        copy(
+            &path,
+            "INSERT INTO topics SELECT 77, '/a', type, serialization_format, offered_qos_profiles, '' FROM topics; \
+             INSERT INTO messages SELECT id + 100000, 77, timestamp, data FROM messages",
+        );
+        let error = rows(&path, None).expect_err("two topics").to_string();
+        assert!(error.contains("states in /a, /joint_states,"), "{error}");
+        assert!(error.contains("topic = \"/a\""), "{error}");
     }
 }

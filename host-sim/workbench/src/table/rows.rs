@@ -1,6 +1,6 @@
 //! Checked rows of a table: as wide as the header, finite numbers, time ascending.
 
-use super::bag::Messages;
+use super::bag::{Messages, Topics};
 use super::{TableError, is_compressed};
 use crate::files::at;
 use flate2::read::MultiGzDecoder;
@@ -64,12 +64,20 @@ const SEPARATORS: [u8; 4] = *b";\t, ";
 
 impl Rows {
     pub(crate) fn open(path: &Path) -> Result<Self, TableError> {
-        Self::named(path, &[])
+        let topics = Topics {
+            named: None,
+            likeness: &|_| 0,
+        };
+        Self::named(path, &[], &topics)
     }
 
-    /// Opens a table; a CSV file without a header row takes `names` as its header.
-    pub(crate) fn named(path: &Path, names: &[String]) -> Result<Self, TableError> {
-        if let Some((header, messages, notes)) = super::bag::open(path)? {
+    /// Opens a table; a CSV file without a header row takes `names` as its header, a bag is read by one of its `topics`.
+    pub(crate) fn named(
+        path: &Path,
+        names: &[String],
+        topics: &Topics<'_>,
+    ) -> Result<Self, TableError> {
+        if let Some((header, messages, notes)) = super::bag::open(path, topics)? {
             return Ok(Self {
                 path: path.to_owned(),
                 source: Source::Bag {

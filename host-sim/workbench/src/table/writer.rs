@@ -296,4 +296,14 @@ mod tests {
             "{lengths:?}"
         );
     }
+
+    #[test]
+    fn a_table_that_is_not_finished_does_not_appear() {
+        let directory = tempfile::tempdir().expect("creates");
+        let path = directory.path().join("half.csv");
+        let mut writer = TableWriter::create(&path, &["a".to_owned()]).expect("creates");
+        writer.row([1.0]).expect("writes");
+        drop(writer);
+        assert!(!path.exists());
+    }
 }

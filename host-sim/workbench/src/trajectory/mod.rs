@@ -11,7 +11,7 @@ use crate::robot::Robot;
 use crate::table::{StateReader, StateRow, TimeColumn};
 use std::fmt::Display;
 use std::path::Path;
-use via::ViaPath;
+use via::{ViaPath, agree, between};
 
 /// Length of the validation path, s.
 pub const VALIDATION_S: f64 = 30.0;
@@ -30,7 +30,7 @@ pub enum Trajectory<const N: usize> {
     },
     /// Quintics through via points.
     Via(ViaPath<N>),
-    /// Samples of a table, held until the next one is due.
+    /// Samples of a table, joined by cubics.
     Sampled(Vec<(f64, State<N>)>),
 }
 
@@ -69,8 +69,11 @@ impl<const N: usize> Trajectory<N> {
             Self::Sampled(samples) => {
                 // Half a microsecond of slack: a sample due now must not be missed by rounding.
                 let next = samples.partition_point(|(due_s, _)| *due_s <= t_s + 5e-7);
-                let sample = samples.get(next.saturating_sub(1));
-                sample.map_or(State::rest(Joints::zeros()), |(_, state)| *state)
+                match (samples.get(next.saturating_sub(1)), samples.get(next)) {
+                    (Some(last), Some(next)) if t_s > last.0 + 5e-7 => between(last, next, t_s),
+                    (Some((_, state)), _) => *state,
+                    (None, _) => State::rest(Joints::zeros()),
+                }
             }
         };
         if t_s > end_s + 5e-7 {
@@ -81,7 +84,7 @@ impl<const N: usize> Trajectory<N> {
 
     /// Every motion keeps the joints' limits of position, speed and acceleration.
     ///
-    /// * `period_s` sampling step of a series or a path; of a table every row is checked
+    /// * `period_s` sampling step; of a table every row is checked, too, and that its velocities are those of its positions
     ///
     /// Errors: the first motion that does not.
     pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), Refusal> {
@@ -95,7 +98,17 @@ impl<const N: usize> Trajectory<N> {
             Self::Sampled(samples) => samples.iter().map(|(t_s, _)| *t_s).collect(),
         };
         let mut times_s = times_s.into_iter();
-        times_s.try_for_each(|t_s| within(robot, t_s, &self.at(t_s)))
+        times_s.try_for_each(|t_s| within(robot, t_s, &self.at(t_s), ROUNDED))?;
+        if let Self::Sampled(samples) = self {
+            agree(robot, samples)?;
+            for rows in samples.windows(2) {
+                let steps = 1..((rows[1].0 - rows[0].0) / period_s) as usize;
+                for t_s in steps.map(|k| rows[0].0 + k as f64 * period_s) {
+                    within(robot, t_s, &self.at(t_s), CURVED)?;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Duration in ticks of `period_s`.
@@ -104,8 +117,17 @@ impl<const N: usize> Trajectory<N> {
     }
 }
 
-/// One motion keeps the limits, up to a rounding in a file of six digits.
-fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(), Refusal> {
+/// Excess over a limit, or over the range of positions, by a rounding in a file of six digits.
+const ROUNDED: f64 = 1e-6;
+/// The same between two rows: a cubic through rows at the limits leaves these a little.
+const CURVED: f64 = 1e-2;
+/// One motion keeps the limits, but for a share of them.
+fn within<const N: usize>(
+    robot: &Robot,
+    t_s: f64,
+    state: &State<N>,
+    share: f64,
+) -> Result<(), Refusal> {
     for (j, joint) in robot.joints.iter().take(N).enumerate() {
         let limits = &joint.limits;
         let (velocity, acceleration) = (limits.velocity, limits.acceleration);
@@ -113,12 +135,18 @@ fn within<const N: usize>(robot: &Robot, t_s: f64, state: &State<N>) -> Result<(
         let (q, qd, qdd) = (state.q[j], state.qd[j], state.qdd[j]);
         let end = if q < low { low } else { high };
         let past_end = (low - q).max(q - high);
-        for (asked, limit, broken, unit) in [
-            (q, end, past_end, "rad"),
-            (qd, velocity, qd.abs() - velocity, "rad/s"),
-            (qdd, acceleration, qdd.abs() - acceleration, "rad/s²"),
+        for (asked, limit, broken, size, unit) in [
+            (q, end, past_end, high - low, "rad"),
+            (qd, velocity, qd.abs() - velocity, velocity, "rad/s"),
+            (
+                qdd,
+                acceleration,
+                qdd.abs() - acceleration,
+                acceleration,
+                "rad/s²",
+            ),
         ] {
-            if broken > 1e-6 * limit.abs() {
+            if broken > share * size {
                 let joint = j + 1;
                 return Err(Refusal(format!(
                     "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
@@ -189,7 +217,7 @@ fn in_file<E: Display>(name: &str) -> impl Fn(E) -> Refusal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trajectory::via::{SEGMENT_S, VIA_RANGE_RAD};
+    use crate::trajectory::via::VIA_RANGE_RAD;
 
     #[test]
     fn validation_path_keeps_its_limits_and_reaches_its_peak() {
@@ -267,78 +295,67 @@ mod tests {
         }
     }
 
+    /// Rows of a motion of joint 1 of a UR5 every `step_s`, with six decimals.
+    fn table(step_s: f64) -> Vec<(f64, State<6>)> {
+        let digits = |x: f64| (x * 1e6).round() / 1e6;
+        let row = |k: usize| {
+            let t_s = digits(k as f64 * step_s);
+            let mut state = State::rest(Joints::zeros());
+            state.q[0] = digits((2.0 * t_s).sin());
+            state.qd[0] = digits(2.0 * (2.0 * t_s).cos());
+            state.qdd[0] = digits(-4.0 * (2.0 * t_s).sin());
+            (t_s, state)
+        };
+        (0..=(4.0 / step_s) as usize).map(row).collect()
+    }
+
     #[test]
-    fn quintics_join_without_a_step_up_to_the_acceleration() {
-        let robot = Robot::load("ur5").expect("built in");
-        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
-        for k in 1..20 {
-            let t_s = f64::from(k) * SEGMENT_S;
-            let (before, after) = (path.at(t_s - 1e-9), path.at(t_s + 1e-9));
-            assert!((before.q - after.q).amax() < 1e-7);
-            assert!((before.qd - after.qd).amax() < 1e-6);
-            assert!((before.qdd - after.qdd).amax() < 1e-5);
-        }
-        let h = 1e-5;
-        for k in 0..100 {
-            let t_s = 0.17 + 0.29 * f64::from(k);
-            let slope = (path.at(t_s + h).q - path.at(t_s - h).q) / (2.0 * h);
-            assert!((slope - path.at(t_s).qd).amax() < 1e-5);
-            let bend = (path.at(t_s + h).qd - path.at(t_s - h).qd) / (2.0 * h);
-            assert!((bend - path.at(t_s).qdd).amax() < 1e-3, "{t_s}");
+    fn samples_are_joined_by_cubics_and_rest_afterwards() {
+        for step_s in [1e-3, 1.0 / 30.0, 0.1] {
+            let samples = table(step_s);
+            let path = Trajectory::Sampled(samples.clone());
+            for (t_s, state) in &samples {
+                assert_eq!(path.at(*t_s), *state);
+            }
+            for t_s in (0..3900).map(|k| 1e-3 * f64::from(k) + 4e-4) {
+                let state = path.at(t_s);
+                assert!((state.q[0] - (2.0 * t_s).sin()).abs() < 2e-5, "{t_s}");
+                assert!(
+                    (state.qd[0] - 2.0 * (2.0 * t_s).cos()).abs() < 4e-3,
+                    "{t_s}"
+                );
+            }
+            let end = path.at(5.0);
+            assert_eq!(end, State::rest(samples[samples.len() - 1].1.q));
         }
     }
 
     #[test]
-    fn a_path_of_one_joint_moves_the_others_only_afterwards() {
+    fn a_table_moves_within_the_limits_between_its_rows_and_as_its_velocities_say() {
         let robot = Robot::load("ur5").expect("built in");
-        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
-        let alone = path.clone().of_joint_until(1, 15.0);
-        for k in 0..=300 {
-            let t_s = 0.1 * f64::from(k);
-            let (all, one) = (path.at(t_s), alone.at(t_s));
-            assert_eq!(all.qd[1], one.qd[1], "{t_s}");
-            if t_s <= 15.0 {
-                assert_eq!(one.q[0], path.at(0.0).q[0], "{t_s}");
+        let check = |samples: &[_]| Trajectory::Sampled(samples.to_vec()).check(&robot, 1e-3);
+        for step_s in [2.5e-4, 1e-3, 0.01, 1.0 / 30.0, 0.1, 0.25] {
+            let sound = table(step_s);
+            check(&sound).unwrap_or_else(|error| panic!("{step_s}: {error}"));
+            for (factor, name) in [(-1.0, "turned"), (0.0, "zero"), (57.3, "degrees")] {
+                let mut wrong = sound.clone();
+                wrong.iter_mut().for_each(|row| row.1.qd[0] *= factor);
+                assert!(check(&wrong).is_err() || step_s > 0.2, "{step_s}: {name}");
             }
         }
-        assert_eq!(alone.at(20.0), path.at(20.0));
-    }
-
-    #[test]
-    fn a_path_is_slower_until_its_time_and_as_fast_as_before_afterwards() {
-        let robot = Robot::load("ur5").expect("built in");
-        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
-        let (until_s, end_s) = (15.0, path.duration_s());
-        let slow = path.clone().slow_until(8.0, until_s);
-        let largest = |path: &ViaPath<6>, from_s: f64, to_s: f64| {
-            (0..=300)
-                .map(|k| path.at(from_s + (to_s - from_s) * f64::from(k) / 300.0))
-                .fold(0.0_f64, |most, state| most.max(state.qd.amax()))
-        };
-        assert!(largest(&slow, 0.0, until_s) < 0.2 * largest(&path, 0.0, until_s));
-        let from_s = until_s / 8.0;
-        let as_before = largest(&path, from_s, from_s + end_s - until_s);
-        assert!(largest(&slow, until_s, end_s) > 0.8 * as_before);
-        // The end is a via point of both.
-        let (end, before) = (slow.at(end_s), path.at(from_s + end_s - until_s));
-        assert!((end.q - before.q).amax() < 1e-9 && (end.qd - before.qd).amax() < 1e-9);
-    }
-
-    #[test]
-    fn samples_are_held_until_the_next_is_due_and_rest_afterwards() {
-        let state = |v: f64| State {
-            q: Joints::<1>::repeat(v),
-            qd: Joints::repeat(v),
-            qdd: Joints::zeros(),
-        };
-        let path = Trajectory::Sampled(vec![(0.0, state(1.0)), (0.1, state(2.0))]);
-        for (t_s, q, qd) in [
-            (0.0, 1.0, 1.0),
-            (0.05, 1.0, 1.0),
-            (0.1, 2.0, 2.0),
-            (0.3, 2.0, 0.0),
-        ] {
-            assert_eq!((path.at(t_s).q[0], path.at(t_s).qd[0]), (q, qd), "{t_s}");
-        }
+        // The clock goes on over rows that are missing.
+        let mut hole = table(1e-3);
+        hole.drain(500..900);
+        hole.iter_mut().skip(500).for_each(|row| row.0 -= 0.4);
+        let line = "row 501 at 0.500 s, joint 1: the position steps by 0.";
+        let error = check(&hole).expect_err(line).to_string();
+        assert!(error.starts_with(line), "{error}");
+        // Slow enough by its rows, but not on the way.
+        let mut rows = table(1.0);
+        rows.iter_mut()
+            .for_each(|row| row.1 = State::rest(Joints::zeros()));
+        rows[1].1.q[0] = 2.5;
+        let error = check(&rows).expect_err("too fast").to_string();
+        assert!(error.contains("is asked for 3."), "{error}");
     }
 }

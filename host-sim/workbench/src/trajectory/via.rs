@@ -1,5 +1,6 @@
-//! Paths through via points.
+//! Paths through via points and through the rows of a table.
 
+use crate::Refusal;
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::Robot;
 use rand::{Rng, SeedableRng};
@@ -233,5 +234,132 @@ impl<const N: usize> ViaPath<N> {
             qd: v0 + (3.0 * c3 + (4.0 * c4 + 5.0 * c5 * s) * s) * (s * s / h),
             qdd: (6.0 * c3 + (12.0 * c4 + 20.0 * c5 * s) * s) * (s / (h * h)),
         }
+    }
+}
+
+/// Largest relative error of a number of six digits.
+const DIGITS: f64 = 5e-6;
+/// Shortest time over which positions are compared with velocities, s. Roundings count less in a longer one.
+const SPAN_S: f64 = 0.1;
+
+/// Motion between two samples: the cubic with their positions and velocities; accelerations in proportion to the time.
+pub(super) fn between<const N: usize>(
+    (from_s, a): &(f64, State<N>),
+    (to_s, b): &(f64, State<N>),
+    t_s: f64,
+) -> State<N> {
+    let h = to_s - from_s;
+    let s = (t_s - from_s) / h;
+    let gain = b.qd - a.qd;
+    // Distance beyond that of a velocity which changes evenly.
+    let rest = b.q - a.q - (a.qd + b.qd) * (0.5 * h);
+    State {
+        q: a.q + (a.qd + gain * (0.5 * s)) * (s * h) + rest * (s * s * (3.0 - 2.0 * s)),
+        qd: a.qd + gain * s + rest * (6.0 * s * (1.0 - s) / h),
+        qdd: a.qdd + (b.qdd - a.qdd) * s,
+    }
+}
+
+/// The positions of a table keep the velocity limit v from row to row, and follow the velocities.
+///
+/// `|Δq| ≤ v h` and `|Σ Δq − Σ ½ (qd + qd') h| ≤ Σ a h² / 4` with the acceleration limit a: so much a trapezoid errs at most,
+/// where the velocity rises and falls at the limit. Digits of the file and two steps of the encoder come on top.
+pub(super) fn agree<const N: usize>(
+    robot: &Robot,
+    samples: &[(f64, State<N>)],
+) -> Result<(), Refusal> {
+    for (j, joint) in robot.joints.iter().take(N).enumerate() {
+        let limits = &joint.limits;
+        let (mut first, mut followed, mut bound) = (0, 0.0, 0.0);
+        for (row, rows) in samples.windows(2).enumerate() {
+            let ((from_s, a), (to_s, b)) = (&rows[0], &rows[1]);
+            let h = to_s - from_s;
+            let (start_s, start) = &samples[first];
+            let speed = a.qd[j].abs().max(b.qd[j].abs());
+            let numbers = start.q[j].abs() + b.q[j].abs() + speed * (start_s + to_s);
+            let rounding = 2.0 * joint.drive.encoder_step() + DIGITS * numbers;
+            let (step, moved) = (b.q[j] - a.q[j], b.q[j] - start.q[j]);
+            followed += 0.5 * (a.qd[j] + b.qd[j]) * h;
+            bound += 0.25 * limits.acceleration * h * h + DIGITS * speed * h;
+            let place = format!("row {} at {to_s:.3} s, joint {}", row + 2, j + 1);
+            if step.abs() > limits.velocity * h + rounding {
+                let limit = limits.velocity;
+                return Err(Refusal(format!(
+                    "{place}: the position steps by {step:.3} rad in {h:.4} s, its limit is {limit:.3} rad/s: add the rows between, or slow the motion down"
+                )));
+            }
+            if (moved - followed).abs() > bound + rounding {
+                return Err(Refusal(format!(
+                    "{place}: the position moved by {moved:.6} rad since row {}, its velocities give {followed:.6} rad: write the derivative of the positions in their place",
+                    first + 1
+                )));
+            }
+            if to_s - start_s >= SPAN_S {
+                (first, followed, bound) = (row + 1, 0.0, 0.0);
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quintics_join_without_a_step_up_to_the_acceleration() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        for k in 1..20 {
+            let t_s = f64::from(k) * SEGMENT_S;
+            let (before, after) = (path.at(t_s - 1e-9), path.at(t_s + 1e-9));
+            assert!((before.q - after.q).amax() < 1e-7);
+            assert!((before.qd - after.qd).amax() < 1e-6);
+            assert!((before.qdd - after.qdd).amax() < 1e-5);
+        }
+        let h = 1e-5;
+        for k in 0..100 {
+            let t_s = 0.17 + 0.29 * f64::from(k);
+            let slope = (path.at(t_s + h).q - path.at(t_s - h).q) / (2.0 * h);
+            assert!((slope - path.at(t_s).qd).amax() < 1e-5);
+            let bend = (path.at(t_s + h).qd - path.at(t_s - h).qd) / (2.0 * h);
+            assert!((bend - path.at(t_s).qdd).amax() < 1e-3, "{t_s}");
+        }
+    }
+
+    #[test]
+    fn a_path_of_one_joint_moves_the_others_only_afterwards() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let alone = path.clone().of_joint_until(1, 15.0);
+        for k in 0..=300 {
+            let t_s = 0.1 * f64::from(k);
+            let (all, one) = (path.at(t_s), alone.at(t_s));
+            assert_eq!(all.qd[1], one.qd[1], "{t_s}");
+            if t_s <= 15.0 {
+                assert_eq!(one.q[0], path.at(0.0).q[0], "{t_s}");
+            }
+        }
+        assert_eq!(alone.at(20.0), path.at(20.0));
+    }
+
+    #[test]
+    fn a_path_is_slower_until_its_time_and_as_fast_as_before_afterwards() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let (until_s, end_s) = (15.0, path.duration_s());
+        let slow = path.clone().slow_until(8.0, until_s);
+        let largest = |path: &ViaPath<6>, from_s: f64, to_s: f64| {
+            (0..=300)
+                .map(|k| path.at(from_s + (to_s - from_s) * f64::from(k) / 300.0))
+                .fold(0.0_f64, |most, state| most.max(state.qd.amax()))
+        };
+        assert!(largest(&slow, 0.0, until_s) < 0.2 * largest(&path, 0.0, until_s));
+        let from_s = until_s / 8.0;
+        let as_before = largest(&path, from_s, from_s + end_s - until_s);
+        assert!(largest(&slow, until_s, end_s) > 0.8 * as_before);
+        // The end is a via point of both.
+        let (end, before) = (slow.at(end_s), path.at(from_s + end_s - until_s));
+        assert!((end.q - before.q).amax() < 1e-9 && (end.qd - before.qd).amax() < 1e-9);
     }
 }

@@ -5,7 +5,7 @@ use crate::Refusal;
 use crate::dynamics::{Joints, State};
 use crate::kinematics::Inverse;
 use crate::robot::{Placement, Robot};
-use crate::trajectory::within;
+use crate::trajectory::{ROUNDED, within};
 
 /// Largest difference between predicted and found joint positions, rad. At the speed limit a tick of 1 ms is some
 /// milliradians; another branch of solutions is farther away, except where two branches meet.
@@ -61,7 +61,7 @@ pub fn plan<const N: usize>(
         let here = name(number, step);
         let state = at(&inverse, &point, &predicted)
             .map_err(|reason| refused(format!("{here} at {t_s:.3} s"), &point.pose, reason))?;
-        within(robot, t_s, &state).map_err(|reason| refused(here, &point.pose, reason))?;
+        within(robot, t_s, &state, ROUNDED).map_err(|reason| refused(here, &point.pose, reason))?;
         predicted = state.q + (state.qd + state.qdd * (0.5 * period_s)) * period_s;
         samples.push((t_s, state));
     }
