@@ -262,8 +262,9 @@ pub(super) fn between<const N: usize>(
 
 /// The positions of a table keep the velocity limit v from row to row, and follow the velocities.
 ///
-/// `|Δq| ≤ v h` and `|Σ Δq − Σ ½ (qd + qd') h| ≤ Σ a h² / 4` with the acceleration limit a: so much a trapezoid errs at most,
-/// where the velocity rises and falls at the limit. Digits of the file and two steps of the encoder come on top.
+/// `|Δq| ≤ v h` and `|Σ Δq − Σ ½ (qd + qd') h| ≤ Σ a h² / 4 + Σ |Δq| / 4` with the acceleration limit a: so much a trapezoid
+/// errs at most, where the velocity rises and falls at the limit, and a quarter of the way for the noise of a measured log.
+/// Digits of the file and two steps of the encoder come on top.
 pub(super) fn agree<const N: usize>(
     robot: &Robot,
     samples: &[(f64, State<N>)],
@@ -280,7 +281,7 @@ pub(super) fn agree<const N: usize>(
             let rounding = 2.0 * joint.drive.encoder_step() + DIGITS * numbers;
             let (step, moved) = (b.q[j] - a.q[j], b.q[j] - start.q[j]);
             followed += 0.5 * (a.qd[j] + b.qd[j]) * h;
-            bound += 0.25 * limits.acceleration * h * h + DIGITS * speed * h;
+            bound += 0.25 * (limits.acceleration * h * h + step.abs()) + DIGITS * speed * h;
             let place = format!("row {} at {to_s:.3} s, joint {}", row + 2, j + 1);
             if step.abs() > limits.velocity * h + rounding {
                 let limit = limits.velocity;
