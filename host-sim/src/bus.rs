@@ -60,7 +60,13 @@ impl Network for Attended {
         // Drives are off: a signal ends the program at once.
         self.guard = None;
         let outcome = match self.simulated {
-            true => self.network.ask(ask),
+            true => {
+                if let Ask::Untold { joint, reason } = ask {
+                    let told = write_line(format_args!("{}", untold(*joint, reason)));
+                    told.map_err(|error| BusError::Gone("terminal".to_owned(), error))?;
+                }
+                self.network.ask(ask)
+            }
             false => prompt(&request(ask)).map_err(|e| BusError::Gone("terminal".to_owned(), e)),
         };
         self.guard = Some(SignalGuard::begin());
@@ -93,7 +99,16 @@ fn request(ask: &Ask) -> String {
             let (mass, at): (f64, [f64; 3]) = (body.mass, body.com.into());
             format!("fix {mass} kg to the last link, centre of mass at {at:?} m in its frame")
         }
+        Ask::Untold { joint, reason } => format!(
+            "{}: keep clear when the loop moves it next",
+            untold(*joint, reason)
+        ),
     }
+}
+
+fn untold(joint: usize, reason: &str) -> String {
+    let joint = joint + 1;
+    format!("joint {joint}: sign and scale of torque are not told: {reason}")
 }
 
 /// The adapters of an arm, in a thread with real time priority where the system permits it; a note where it does not.

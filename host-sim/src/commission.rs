@@ -204,7 +204,10 @@ impl Arguments {
         };
         let network = Attended::new(network, self.bus.is_simulated());
         let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
-        self.steps(Commissioning::new(player, model, rest), wanted)
+        let mut arm = Commissioning::new(player, model, rest);
+        let friction = robot.each(|joint| joint.friction.coulomb);
+        arm.friction_nm = friction.map(Joints::from).ok_or_else(other_size)?;
+        self.steps(arm, wanted)
     }
 
     /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.

@@ -5,6 +5,7 @@ use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
 use foretorque::learning::ParameterSet;
 use foretorque_link::drives::{Protocol, Ranges};
+use foretorque_workbench::board::Described;
 use foretorque_workbench::bus::sim::{
     DriveTruth, LineFault, SimulatedDrive, SimulatedNetwork, TimedFault, plant_config,
 };
@@ -20,23 +21,34 @@ type Arm6 = Commissioning<Ur5, SimulatedNetwork<6>, 6, 40>;
 type Plant6 = fn(&mut [DriveTruth; 6]);
 
 fn arm(plant_mistake: Plant6) -> Arm6 {
-    let profile = profile(1000.0);
     let robot = Robot::load("ur5").expect("built in");
-    let truth = robot.perturbed(1, &Perturbation::PLANT);
+    arm_of(&robot, &profile(1000.0), 1, plant_mistake)
+}
+
+/// Arm around which drives of `profile` run, whose masses differ from those of `robot` by `seed`.
+fn arm_of<A: Arm<6, 40>>(
+    robot: &Robot,
+    profile: &Profile,
+    seed: u64,
+    plant_mistake: impl Fn(&mut [DriveTruth; 6]),
+) -> Commissioning<A, SimulatedNetwork<6>, 6, 40> {
+    let truth = robot.perturbed(seed, &Perturbation::PLANT);
     let rest = Joints::from_row_slice(&profile.rest_rad);
     let mut plant =
-        Plant::<6>::new(&truth, plant_config(PlantConfig::default()), 1).expect("six joints");
+        Plant::<6>::new(&truth, plant_config(PlantConfig::default()), seed).expect("six joints");
     plant.place(&rest);
-    let config = profile.config::<Ur5, 6, 40>().expect("it fits the arm");
-    let mut network =
-        SimulatedNetwork::new(plant, &config, profile.bus[0], &Joints::repeat(0.1), 1);
+    let config = profile.config::<A, 6, 40>().expect("it fits the arm");
+    let noise = Joints::repeat(0.1);
+    let mut network = SimulatedNetwork::new(plant, &config, profile.bus[0], &noise, seed);
     let mut truths: [DriveTruth; 6] = std::array::from_fn(|j| *network.drives[j].truth());
     plant_mistake(&mut truths);
     network.drives = truths.map(SimulatedDrive::new);
-    let set = ParameterSet::nominal::<Ur5>(1);
+    let set = ParameterSet::nominal::<A>(1);
     let player = BusPlayer::new(config, set, network).expect("it fits the arm");
-    let model = ReferenceModel::new(&robot).expect("six joints");
-    Commissioning::new(player, model, rest)
+    let model = ReferenceModel::new(robot).expect("six joints");
+    let mut arm = Commissioning::new(player, model, rest);
+    arm.friction_nm = Joints::from_fn(|joint, _| robot.joints[joint].friction.coulomb);
+    arm
 }
 
 fn ranges(truth: &mut DriveTruth) -> &mut Ranges {
@@ -186,6 +198,80 @@ fn every_planted_mistake_is_named_before_a_tenth_of_the_torque() {
         assert!(share <= 0.1, "{message}: {share} of the limit");
         let off = arm.player.network.all_off() || failed.contains("torque");
         assert!(off, "{message}");
+    }
+}
+
+/// A UR5 with viscous friction, a UR10e without; the profile of the first with the torque of the second.
+fn arms() -> [(Robot, Profile); 2] {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/ur10e.toml");
+    ["ur5", file].map(|name| {
+        let (robot, mut profile) = (Robot::load(name).expect(name), profile(1000.0));
+        for (entry, joint) in profile.joint.iter_mut().zip(&robot.joints) {
+            let limit = joint.limits.torque as f32;
+            entry.drive.torque_limit = limit;
+            let gear = entry.drive.gear;
+            if let Protocol::Damiao(ranges) = &mut entry.drive.protocol {
+                ranges.torque = 1.01 * limit / gear;
+            }
+        }
+        (robot, profile)
+    })
+}
+
+/// Runs the step of torque at a Coulomb friction of `share` of the limits: the message of the mistake, and the ratios.
+fn pushed(
+    (robot, profile): &(Robot, Profile),
+    (share, seed): (f64, u64),
+    plant_mistake: impl Fn(&mut [DriveTruth; 6]),
+) -> (Option<String>, [Option<f64>; 6]) {
+    let mut robot = robot.clone();
+    for joint in &mut robot.joints {
+        joint.friction.coulomb = share * joint.limits.torque;
+    }
+    Described::<6, 40>::read(&robot).expect("six joints");
+    let mut arm = arm_of::<Described<6, 40>>(&robot, profile, seed, plant_mistake);
+    let failed = arm.step(Step::Torque).err().map(|error| error.to_string());
+    let peaks = arm.player.network.peak_nm.iter().zip(&robot.joints);
+    for (peak, joint) in peaks {
+        let share = peak / joint.limits.torque;
+        assert!(share <= 0.1, "{} at {share} of its limit", joint.name);
+    }
+    assert!(arm.player.network.all_off());
+    (failed, arm.found.map(|found| found.torque_ratio))
+}
+
+#[test]
+fn sound_drives_pass_at_any_friction_and_wrong_ones_at_none() {
+    for arm in &arms() {
+        let name = &arm.0.name;
+        for (case, share) in (1..).zip([0.0, 0.01, 0.03, 0.06]) {
+            let (failed, ratios) = pushed(arm, (share, case), |_| ());
+            println!("{name}, {share}: {failed:?} {ratios:.2?}");
+            assert_eq!(failed, None, "{name}, {share}");
+            let told = |ratio: &Option<f64>| ratio.is_some_and(|r| (r - 1.0).abs() < 0.25);
+            assert!(ratios.iter().all(told), "{name}, {share}: {ratios:?}");
+        }
+        for (joint, gain, share) in [
+            (1, -1.0, 0.0),
+            (4, -1.0, 0.03),
+            (4, 0.5, 0.0),
+            (1, 2.0, 0.0),
+            (2, 2.0, 0.03),
+        ] {
+            let (failed, _) = pushed(arm, (share, 1), |drives| drives[joint].gain = gain);
+            let word = match gain < 0.0 {
+                true => "torque sign",
+                false => "scale of torque",
+            };
+            let message = format!("joint {}: {word}: of ", joint + 1);
+            let failed = failed.unwrap_or_else(|| panic!("{name}, {gain}, {share}: nothing"));
+            assert!(
+                failed.starts_with(&message),
+                "{name}, {gain}, {share}: {failed}"
+            );
+        }
+        // A joint that is held by more than it is pushed is not told, and no mistake.
+        assert_eq!(pushed(arm, (0.15, 1), |_| ()), (None, [None; 6]), "{name}");
     }
 }
 

@@ -8,16 +8,27 @@ use crate::robot::Link;
 use foretorque::arm::Arm;
 use foretorque::joint::JointMotion;
 use foretorque_link::drives::{Carry, DriveState, Event, Frames, JointCommand, Order};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix5, Vector5};
 
 /// Torques of the probe, parts of the limit, in the order in which they are tried. The last is the largest.
 const LEVELS: [f64; 7] = [0.005, 0.0085, 0.02, 0.035, 0.05, 0.07, 0.095];
 /// Longest push, s, and the travel that ends it, rad.
 const PUSH: (f64, f64) = (0.4, 0.04);
-/// Smallest travel that is motion, rad.
-const MOVED_RAD: f64 = 0.01;
-/// Ratios of the torque that arrives to the commanded one that pass.
-const RATIOS: std::ops::Range<f64> = 0.5..2.0;
+/// Longest coasting, s, and the travel that ends it, rad.
+const COAST: (f64, f64) = (0.1, 0.04);
+/// Least speed that is motion, rad/s: Coulomb friction has its full torque there. Samples on either side that show it.
+const MOTION_RAD_S: f64 = 0.05;
+const AROUND: usize = 4;
+/// Largest standard deviations of a ratio of torques, and half the largest difference of the ratios of both ways, parts. A
+/// ratio that is only rough ends the rise of the torque.
+const DEVIATION: f64 = 0.05;
+const ROUGH: f64 = 0.2;
+const SPREAD: f64 = 0.15;
+/// Ratios of the torque that arrives to the commanded one that pass: a scale wrong by 2 does not, even where the described
+/// inertia is a fifth off.
+const RATIOS: std::ops::Range<f64> = 0.6..1.0 / 0.6;
+/// Part of the limit that no push may exceed by what arrives.
+const MOST: f64 = 0.1;
 /// Half the angle of a slow sweep, rad, and its speed, rad/s.
 const SWEEP_RAD: f64 = 0.15;
 const SWEEP_RAD_S: f64 = 0.15;
@@ -29,52 +40,149 @@ const TILT_RAD: f64 = 0.6;
 const GAIN_ERROR: f64 = 0.2;
 
 impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, W, N, P> {
-    /// Pushes a joint with rising torques until it moves, then compares push and coasting with its inertia.
+    /// Pushes a joint both ways, with rising torques until both pushes give one ratio of the torque that arrives.
     pub(super) fn torque(&mut self, joint: usize) -> Result<(), BusError> {
         let limit = f64::from(A::limits()[joint].torque);
-        let inertia = self.model.mass_matrix(&self.rest)[(joint, joint)];
-        self.settle(joint, 0.1)?;
-        for level in LEVELS {
+        let found = &mut self.found[joint];
+        (found.breakaway_nm, found.torque_ratio) = (None, None);
+        for (place, level) in LEVELS.into_iter().enumerate() {
             let push_nm = level * limit;
-            let pushed = self.run(joint, push_nm, PUSH)?;
-            let travel = travel(&pushed);
-            if travel.abs() < MOVED_RAD {
-                self.settle(joint, 0.05)?;
-                continue;
+            let mut ratios: Vec<f64> = Vec::new();
+            let mut worst: f64 = 0.0;
+            for way in [1.0, -1.0] {
+                let Some((ratio, deviation)) = self.push(joint, way * push_nm)? else {
+                    continue;
+                };
+                self.found[joint].breakaway_nm.get_or_insert(push_nm);
+                let relative = deviation / ratio.abs().max(1.0);
+                if relative <= ROUGH {
+                    ratios.push(ratio);
+                    worst = worst.max(relative);
+                }
             }
-            let coasted = self.run(joint, 0.0, (0.1, f64::INFINITY))?;
-            self.settle(joint, 0.3)?;
-            check(joint, travel >= 0.0, || {
-                format!("torque sign: +{push_nm:.2} N·m move it by {travel:.3} rad")
-            })?;
-            self.found[joint].breakaway_nm = Some(push_nm);
-            let moving = |(one, later): &(&(f64, f64), &(f64, f64))| {
-                (later.1 - one.1) / (later.0 - one.0) > 0.05
-            };
-            let pairs = coasted.iter().zip(coasted.iter().skip(4));
-            let moving = pairs.take_while(moving);
-            let coasted: Vec<(f64, f64)> = moving.map(|(one, _)| *one).collect();
-            let slowing = match coasted.len() {
-                8.. => acceleration(&coasted),
-                _ => 0.0,
-            };
-            // The push starts when the joint breaks away.
-            let start = pushed.iter().position(|(_, q)| q - pushed[0].1 > 0.002);
-            let start = start.unwrap_or(0);
-            let ratio = inertia * (acceleration(&pushed[start..]) - slowing) / push_nm;
-            self.found[joint].torque_ratio = Some(ratio);
-            return check(joint, RATIOS.contains(&ratio), || {
-                let arrives = ratio * push_nm;
-                format!(
-                    "scale of torque: of {push_nm:.2} N·m about {arrives:.2} N·m arrive, by its acceleration"
-                )
-            });
+            // The next push would be too much: what has been seen has to do.
+            let size = ratios.iter().map(|ratio| ratio.abs()).sum::<f64>() / ratios.len() as f64;
+            let next = LEVELS.get(place + 1).copied().unwrap_or(1.0);
+            let last = size >= RATIOS.end && size * next > MOST;
+            if let [one, other] = ratios[..] {
+                let ratio = 0.5 * (one + other);
+                let spread = 0.5 * (one - other).abs() / ratio.abs().max(1.0);
+                let clear = last && one.abs().min(other.abs()) >= RATIOS.end;
+                if clear || worst <= DEVIATION && spread <= SPREAD {
+                    return self.judge(joint, push_nm, ratio);
+                }
+            }
+            if last {
+                break;
+            }
         }
         let most = LEVELS[LEVELS.len() - 1] * limit;
-        let problem = format!(
-            "scale of torque: no motion at {most:.2} N·m, a tenth of its limit; is it too small, or is the joint blocked?"
+        let friction = self.friction_nm[joint];
+        let moved = self.found[joint].breakaway_nm.is_some();
+        // Friction that is described, and far below the push, holds no joint.
+        let held = moved || friction == 0.0 || friction > 0.5 * most;
+        check(joint, held, || {
+            format!(
+                "scale of torque: no motion at {most:.2} N·m, a tenth of its limit, against a friction of {friction:.2} N·m; is it too small, or is the joint blocked?"
+            )
+        })?;
+        let reason = match moved {
+            true => "pushes both ways differ".to_owned(),
+            false => format!("no motion at {most:.2} N·m, a tenth of its limit"),
+        };
+        self.untold.push((joint, reason));
+        Ok(())
+    }
+
+    /// Errors: the ratio of the torque that arrives to the commanded one is not that of a sound drive.
+    fn judge(&mut self, joint: usize, push_nm: f64, ratio: f64) -> Result<(), BusError> {
+        self.found[joint].torque_ratio = Some(ratio);
+        check(joint, RATIOS.contains(&ratio), || {
+            let arrives = ratio * push_nm;
+            let wrong = match ratio < -0.5 * RATIOS.start {
+                true => "torque sign",
+                false => "scale of torque",
+            };
+            format!(
+                "{wrong}: of {push_nm:.2} N·m about {arrives:.2} N·m arrive, by its acceleration"
+            )
+        })
+    }
+
+    /// Pushes a joint from where brakes or friction hold the arm, and lets it coast: [`ratio`](Self::ratio) of the torque
+    /// that arrives.
+    fn push(&mut self, joint: usize, push_nm: f64) -> Result<Option<(f64, f64)>, BusError> {
+        self.switch_off()?;
+        self.settle(joint, 0.1)?;
+        let mut path = self.run(joint, push_nm, PUSH)?;
+        let switch = path.len();
+        let end_s = path.last().map_or(0.0, |sample| sample.t_s) + self.player.period_s();
+        let coasted = self.run(joint, 0.0, COAST)?.into_iter();
+        path.extend(coasted.map(|sample| Sample {
+            t_s: end_s + sample.t_s,
+            ..sample
+        }));
+        Ok(self.ratio(joint, &path, switch))
+    }
+
+    /// Torque that arrives over the commanded one, and its standard deviation, by the motion around sample `switch`, from
+    /// which on the joint coasts; none without motion there.
+    ///
+    /// While joint j moves one way, r τ = M_j q̈ + g_j + c + d q̇ with its friction c + d q̇. Integrated twice:
+    ///
+    /// ```text
+    /// M_j Δq + ∬ g_j = r ∬ τ − c t²/2 − d ∫ Δq + b t + a
+    /// ```
+    ///
+    /// Nothing is differentiated. Δq has all joints: those that swing or give way count. An error of the described
+    /// gravity, constant over so small a travel, goes into c. Velocity products are left out.
+    fn ratio(&self, joint: usize, path: &[Sample<N>], switch: usize) -> Option<(f64, f64)> {
+        let speed = |k: usize| {
+            let (one, later) = (k.saturating_sub(AROUND), (k + AROUND).min(path.len() - 1));
+            let (one, later) = (&path[one], &path[later]);
+            (later.q[joint] - one.q[joint]) / (later.t_s - one.t_s)
+        };
+        path.get(switch)?;
+        let way = speed(switch).signum();
+        let moves = |k: &usize| way * speed(*k) > MOTION_RAD_S;
+        let start = (0..=switch).rev().take_while(moves).last()?;
+        let end = (switch..path.len()).take_while(moves).last()?;
+        let path = &path[start..=end];
+        let (first, mass) = (
+            path.first()?,
+            self.model.mass_matrix(&path[path.len() / 2].q),
         );
-        Err(BusError::Mistake(joint, problem))
+        let mut rows = Vec::new();
+        let (mut torque, mut gravity, mut area) = ([0.0; 2], [0.0; 2], 0.0);
+        for (place, sample) in path.iter().enumerate() {
+            let (t_s, moved) = (sample.t_s - first.t_s, sample.q - first.q);
+            let row = Vector5::new(torque[1], 0.5 * t_s * t_s, area, t_s, 1.0);
+            rows.push((row, (mass * moved)[joint] + gravity[1]));
+            let Some(next) = path.get(place + 1) else {
+                break;
+            };
+            let h = next.t_s - sample.t_s;
+            let integrate = |sums: &mut [f64; 2], value: f64| {
+                sums[1] += h * (sums[0] + 0.5 * h * value);
+                sums[0] += h * value;
+            };
+            integrate(&mut torque, sample.torque_nm);
+            integrate(&mut gravity, self.model.gravity_torques(&sample.q)[joint]);
+            area += h * (0.5 * (sample.q + next.q) - first.q)[joint];
+        }
+        let gram: Matrix5<f64> = rows.iter().map(|(row, _)| row * row.transpose()).sum();
+        let moment: Vector5<f64> = rows.iter().map(|(row, y)| row * *y).sum();
+        let inverse = gram.try_inverse()?;
+        let fitted = inverse * moment;
+        let left = |(row, y): &(Vector5<f64>, f64)| y - row.dot(&fitted);
+        let left: Vec<f64> = rows.iter().map(left).collect();
+        let squares: f64 = left.iter().map(|e| e * e).sum();
+        // What friction does beside c + d q̇, cogging above all, is no white noise: neighbours count as one.
+        let products: f64 = left.iter().zip(&left[1..]).map(|(a, b)| a * b).sum();
+        let alike = (products / squares).clamp(0.0, 0.999);
+        let free = rows.len().checked_sub(fitted.len() + 1)? as f64 + 1.0;
+        let variance = squares / free * inverse[(0, 0)] * (1.0 + alike) / (1.0 - alike);
+        Some((fitted[0], variance.sqrt()))
     }
 
     /// Sweeps each joint both ways in the loop and compares the torques with the described arm.
@@ -184,12 +292,13 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         Ok(all)
     }
 
-    /// Holds the joints that have passed, damps this one, and waits.
+    /// Holds the joints that have passed, leaves this one without torque, and waits.
     fn settle(&mut self, joint: usize, time_s: f64) -> Result<(), BusError> {
         self.run(joint, f64::NAN, (time_s, f64::INFINITY)).map(drop)
     }
 
-    /// Sends a torque to one joint, N·m, while those before it are held and those behind it are off: times and positions.
+    /// Sends a torque to one joint, N·m, while those that have passed before it are held and the others are off: samples of
+    /// the arm.
     ///
     /// * `torque_nm` not a number: the joint is left without torque, and off where it has not passed
     /// * `until` longest time, s, and the travel that ends it, rad
@@ -198,22 +307,21 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         joint: usize,
         torque_nm: f64,
         until: (f64, f64),
-    ) -> Result<Vec<(f64, f64)>, BusError> {
+    ) -> Result<Vec<Sample<N>>, BusError> {
         let period_s = self.player.period_s();
         let joints = self.player.controller.config().joints;
         let here = self.player.positions();
         let mut carries = [Carry::default(); N];
-        let mut path: Vec<(f64, f64)> = Vec::new();
+        let mut path: Vec<Sample<N>> = Vec::new();
         let mut state = None;
         for tick in 0..(until.0 / period_s) as usize {
             self.player.network.wait();
+            let mut replied = false;
             while let Some((bus, frame)) = self.player.network.receive()? {
                 let event = joints[joint].drive.decode(&frame);
                 if let Some(Event::Reply(reply)) = event.filter(|_| bus == joints[joint].bus) {
                     state = reply.state.or(state);
-                    if let Some(q) = reply.position {
-                        path.push((tick as f64 * period_s, f64::from(q)));
-                    }
+                    replied |= reply.position.is_some();
                 }
                 self.player.controller.receive(bus, &frame);
             }
@@ -221,13 +329,26 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 let problem = format!("the drive reports fault {code:#x}");
                 return Err(BusError::Mistake(joint, problem));
             }
-            if travel(&path).abs() > until.1 {
+            // The first reply is of the command before.
+            if replied && tick > 0 {
+                path.push(Sample {
+                    t_s: tick as f64 * period_s,
+                    torque_nm,
+                    q: self.player.positions().cast(),
+                });
+            }
+            let ends = path.first().zip(path.last());
+            if ends.is_some_and(|(first, last)| (last.q[joint] - first.q[joint]).abs() > until.1) {
                 break;
             }
-            for (index, entry) in joints.iter().enumerate().take(joint + 1) {
+            for (index, entry) in joints.iter().enumerate() {
                 let mut frames = Frames::new();
-                let held = index < joint;
-                if tick < 3 && torque_nm.is_nan() {
+                let held = index < joint && self.found[index].torque_ratio.is_some();
+                if index != joint && !held {
+                    if tick < 3 || !entry.drive.order(Order::Report, &mut frames) {
+                        entry.drive.order(Order::Disable, &mut frames);
+                    }
+                } else if tick < 3 && torque_nm.is_nan() {
                     entry.drive.order(Order::Enable, &mut frames);
                 } else {
                     let mut command = JointCommand {
@@ -259,24 +380,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     }
 }
 
-/// Travel from the first to the last position, rad.
-fn travel(path: &[(f64, f64)]) -> f64 {
-    path.first()
-        .zip(path.last())
-        .map_or(0.0, |(first, last)| last.1 - first.1)
-}
-
-/// Acceleration of times and positions by least squares, rad/s².
-fn acceleration(path: &[(f64, f64)]) -> f64 {
-    let (mut gram, mut moment) = (Matrix3::zeros(), Vector3::zeros());
-    let start_s = path.first().map_or(0.0, |(t_s, _)| *t_s);
-    for (t_s, q) in path {
-        // In tenths of a second, so that the powers are alike.
-        let x = 10.0 * (t_s - start_s);
-        let powers = Vector3::new(1.0, x, x * x);
-        gram += powers * powers.transpose();
-        moment += powers * *q;
-    }
-    gram.cholesky()
-        .map_or(0.0, |gram| 2.0 * 100.0 * gram.solve(&moment)[2])
+/// Position of the arm, rad, with the time, s, and the torque that the joint is sent from there on, N·m.
+struct Sample<const N: usize> {
+    t_s: f64,
+    torque_nm: f64,
+    q: Joints<N>,
 }
