@@ -119,7 +119,7 @@ impl<const N: usize> Trajectory<N> {
 
 /// Excess over a limit, or over the range of positions, by a rounding in a file of six digits.
 const ROUNDED: f64 = 1e-6;
-/// The same between two rows: a cubic through rows at the limits leaves these a little.
+/// Excess between two rows: a cubic through rows at the limits leaves these a little.
 const CURVED: f64 = 1e-2;
 /// One motion keeps the limits, but for a share of them.
 fn within<const N: usize>(
