@@ -25,7 +25,7 @@ struct Stand {
 
 /// The robot with drive gains from standstill, and their records.
 ///
-/// Errors: see [`standstill_gains`].
+/// Errors: of the logs; a log without currents.
 pub fn with_gains(
     robot: &Robot,
     logs: &[PathBuf],
