@@ -61,9 +61,10 @@ impl Network for Attended {
         self.guard = None;
         let outcome = match self.simulated {
             true => {
-                if let Ask::Untold { joint, reason } = ask {
-                    let told = write_line(format_args!("{}", untold(*joint, reason)));
-                    told.map_err(|error| BusError::Gone("terminal".to_owned(), error))?;
+                if let Ask::Undetermined { joint, reason } = ask {
+                    let line = undetermined(*joint, reason);
+                    let written = write_line(format_args!("{line}"));
+                    written.map_err(|error| BusError::Gone("terminal".to_owned(), error))?;
                 }
                 self.network.ask(ask)
             }
@@ -99,16 +100,16 @@ fn request(ask: &Ask) -> String {
             let (mass, at): (f64, [f64; 3]) = (body.mass, body.com.into());
             format!("fix {mass} kg to the last link, centre of mass at {at:?} m in its frame")
         }
-        Ask::Untold { joint, reason } => format!(
+        Ask::Undetermined { joint, reason } => format!(
             "{}: keep clear when the loop moves it next",
-            untold(*joint, reason)
+            undetermined(*joint, reason)
         ),
     }
 }
 
-fn untold(joint: usize, reason: &str) -> String {
+fn undetermined(joint: usize, reason: &str) -> String {
     let joint = joint + 1;
-    format!("joint {joint}: sign and scale of torque are not told: {reason}")
+    format!("joint {joint}: sign and scale of torque are not determined: {reason}")
 }
 
 /// The adapters of an arm, in a thread with real time priority where the system permits it; a note where it does not.

@@ -50,14 +50,17 @@ impl LogOptions {
             },
             Some(file) => {
                 let map = LogColumns::load(file)?;
-                LogColumns { asked: true, ..map }
+                LogColumns {
+                    required: true,
+                    ..map
+                }
             }
         };
         if !self.names.is_empty() {
             columns.names.clone_from(&self.names);
         }
         columns.effort = self.effort.or(columns.effort);
-        let of_map = columns.units.clone().filter(|_| columns.asked);
+        let of_map = columns.units.clone().filter(|_| columns.required);
         columns.all_units = self.units.clone().or(of_map);
         robot.log_columns = (columns != LogColumns::default()).then_some(columns);
         Ok(())

@@ -247,8 +247,8 @@ fn sound_drives_pass_at_any_friction_and_wrong_ones_at_none() {
         for (case, share) in (1..).zip([0.0, 0.06]) {
             let (failed, ratios) = pushed(arm, (share, case), |_| ());
             assert_eq!(failed, None, "{name}, {share}");
-            let told = |ratio: &Option<f64>| ratio.is_some_and(|r| (r - 1.0).abs() < 0.25);
-            assert!(ratios.iter().all(told), "{name}, {share}: {ratios:?}");
+            let right = |ratio: &Option<f64>| ratio.is_some_and(|r| (r - 1.0).abs() < 0.25);
+            assert!(ratios.iter().all(right), "{name}, {share}: {ratios:?}");
         }
         for (joint, gain, share) in [(1, -1.0, 0.0), (4, 0.5, 0.0), (2, 2.0, 0.03)] {
             let (failed, _) = pushed(arm, (share, 1), |drives| drives[joint].gain = gain);
@@ -263,7 +263,7 @@ fn sound_drives_pass_at_any_friction_and_wrong_ones_at_none() {
                 "{name}, {gain}, {share}: {failed}"
             );
         }
-        // A joint that is held by more than it is pushed is not told, and no mistake.
+        // A joint that is held by more than it is pushed has no ratio, and that is no mistake.
         assert_eq!(pushed(arm, (0.15, 1), |_| ()), (None, [None; 6]), "{name}");
     }
 }

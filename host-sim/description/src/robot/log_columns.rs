@@ -194,9 +194,9 @@ pub struct LogColumns {
     /// Units of all logs, also of those with the project's own columns (`--units`).
     #[serde(skip)]
     pub all_units: Option<Units>,
-    /// The map was asked for: what it names must be there, and its units hold for all columns.
+    /// Every column of the map must be there, and its units hold for all columns.
     #[serde(skip)]
-    pub asked: bool,
+    pub required: bool,
     /// The one known source whose columns are taken (`--columns-from`).
     #[serde(skip)]
     pub source: Option<String>,

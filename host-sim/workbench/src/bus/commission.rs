@@ -2,7 +2,7 @@
 //!
 //! Every check is one that the drives cannot pass by being wrong in the same way in both directions: positions against
 //! turns by hand, torques against the acceleration of the described arm. The torque rises in steps to a tenth of the limit.
-//! A joint that does not move by so little is no mistake: its torque is not told.
+//! A joint that does not move by so little is no mistake: its torque is not determined.
 
 mod torque;
 
@@ -38,8 +38,8 @@ pub enum Ask {
     },
     /// Fix this body to the last link, in whose frame it is given, or take every load off.
     Weight(Option<Link>),
-    /// Know that sign and scale of the torque of a joint are not told: the loop moves it next.
-    Untold {
+    /// Be warned that sign and scale of the torque of a joint are not determined: the loop moves it next.
+    Undetermined {
         /// Joint, from 0.
         joint: usize,
         /// Reason.
@@ -86,7 +86,7 @@ pub struct Found {
     pub zero_error_rad: Option<f64>,
     /// Torque at which the joint moves, N·m.
     pub breakaway_nm: Option<f64>,
-    /// Torque that arrives, by the acceleration of the described arm, over the commanded one; none where it is not told.
+    /// Torque that arrives, by the acceleration of the described arm, over the commanded one; `None` where it is not determined.
     pub torque_ratio: Option<f64>,
     /// Friction in a slow sweep, half the difference of both ways, N·m.
     pub friction_nm: Option<f64>,
@@ -104,8 +104,8 @@ pub struct Commissioning<A: Arm<N, P>, W: Network, const N: usize, const P: usiz
     pub weight: Option<Link>,
     /// Described Coulomb friction, N × N·m; 0 where none is described.
     pub friction_nm: Joints<N>,
-    /// Joints whose torque is not told, with the reason.
-    untold: Vec<(usize, String)>,
+    /// Joints whose torque is not determined, with the reason.
+    undetermined: Vec<(usize, String)>,
     model: ReferenceModel<N>,
     rest: Joints<N>,
 }
@@ -128,7 +128,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             found: [Found::default(); N],
             weight: None,
             friction_nm: Joints::zeros(),
-            untold: Vec::new(),
+            undetermined: Vec::new(),
             model,
             rest,
         }
@@ -146,8 +146,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 self.zero()?;
                 let outcome = (0..N).try_for_each(|joint| self.torque(joint));
                 self.switch_off()?;
-                for (joint, reason) in std::mem::take(&mut self.untold) {
-                    self.player.network.ask(&Ask::Untold { joint, reason })?;
+                for (joint, reason) in std::mem::take(&mut self.undetermined) {
+                    self.player
+                        .network
+                        .ask(&Ask::Undetermined { joint, reason })?;
                 }
                 outcome
             }

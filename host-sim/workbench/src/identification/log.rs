@@ -123,14 +123,14 @@ impl LogReader {
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
         let map_units = map_units.cloned().unwrap_or_default().scale;
         let time = match (&map.t_s, rows.find("t_s")?) {
-            (Some(name), own) if map.asked || own.is_none() || has(&rows, name) => {
+            (Some(name), own) if map.required || own.is_none() || has(&rows, name) => {
                 (rows.require(name)?, map_units[0])
             }
             (_, Some(place)) => (place, own_units[0]),
             (_, None) => return Err(missing("t_s")),
         };
         let quantity = |unit: usize, name, names: &Option<ColumnNames>| {
-            let found = joint_places(&rows, name, (names.as_ref(), map.asked), robot)?;
+            let found = joint_places(&rows, name, (names.as_ref(), map.required), robot)?;
             Ok::<_, TableError>(found.map(|(places, own)| Columns {
                 places,
                 scale: PerJoint::repeat(joints, if own { own_units } else { map_units }[unit]),

@@ -71,7 +71,7 @@ pub(super) fn likeness(names: &[String], mapped: Option<&ColumnNames>, robot: &R
 pub(super) fn joint_places(
     rows: &Rows,
     (name, unit): (&str, &str),
-    (mapped, asked): (Option<&ColumnNames>, bool),
+    (mapped, required): (Option<&ColumnNames>, bool),
     robot: &Robot,
 ) -> Result<Option<(PerJoint<usize>, bool)>, TableError> {
     let joints = robot.joint_count();
@@ -82,14 +82,16 @@ pub(super) fn joint_places(
         let mut names = (0..=joints).filter_map(name);
         names.any(|name| has(rows, &name))
     };
-    let is_own = !any(&foreign) && any(&own) && !(asked && mapped.is_some());
+    let is_own = !any(&foreign) && any(&own) && !(required && mapped.is_some());
     let chosen: &dyn Fn(usize) -> Option<String> = match (is_own, any(&foreign)) {
         (true, _) => &own,
         (false, true) => &foreign,
         (false, false) => {
             let found = renamed(rows, mapped, robot)?;
-            if let (None, true, Some(_)) = (&found, asked, mapped) {
-                rows.require(&foreign(0).unwrap_or_default())?;
+            if let (None, true, Some(_)) = (&found, required, mapped) {
+                let problem = format!("{name} has one column for all joints: write {{}}");
+                let first = foreign(0).ok_or_else(|| TableError::at(&rows.path, 1, problem))?;
+                rows.require(&first)?;
             }
             return Ok(found.map(|found| (found, false)));
         }

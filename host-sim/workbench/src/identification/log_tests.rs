@@ -169,7 +169,7 @@ fn every_source_gives_the_same_rows() {
 }
 
 #[test]
-fn a_map_that_was_asked_for_wins_over_own_names() {
+fn a_required_map_wins_over_own_names() {
     // Commands under the own names, measured torques beside them.
     let own = own();
     let mut lines = own.lines();
@@ -188,7 +188,7 @@ fn a_map_that_was_asked_for_wins_over_own_names() {
         let map: LogColumns = toml::from_str(map).expect("a map");
         let all_units = map.units.clone();
         robot.log_columns = Some(LogColumns {
-            asked: true,
+            required: true,
             all_units,
             ..map
         });
@@ -197,9 +197,14 @@ fn a_map_that_was_asked_for_wins_over_own_names() {
     let (rows, _) = read_by("tau_nm = 'a{}'\nunits = 'tau=-mNm'").expect("a log");
     is_the_motion(&rows, "measured");
     for (map, problem) in [
-        ("q_rad = 'q{2}_rad'", "is missing"),
+        ("q_rad = 'pos{}'", "column pos1 is missing"),
+        ("q_rad = 'q{2}_rad'", "q has one column for all joints"),
         ("tau_nm = ['a1', 'a2']", "2 names of columns for 6 joints"),
         ("t_s = 'time'", "column time is missing"),
+        (
+            "tau_nm = 'a'",
+            "tau has one column for all joints: write {}",
+        ),
     ] {
         let error = read_by(map).expect_err(map);
         assert!(error.contains(problem), "{map}: {error}");

@@ -3,6 +3,7 @@
 //! `problem` holds the nouns. `log` (rows, checked) → `filter` and `prepare` (motion, regressor and torque through the same
 //! zero-phase filter) → `normal` (one pass over any number of rows, bounded memory) → `methods` → `validation` → `record`.
 
+mod clock;
 mod columns;
 mod consistent;
 mod dataset;

@@ -1,10 +1,11 @@
 //! From a stretch of a log to the rows of the linear model: motion, regressor and torque through the same filter.
 
+use super::clock::GAP_PERIODS;
 use super::columns::Layout;
 use super::filter::{Butterworth, derivative, despiked};
 use super::log::LogRow;
 use super::normal::SpeedSums;
-use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::whole_log::WholeLog;
 use super::{IdentifyError, refused};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;

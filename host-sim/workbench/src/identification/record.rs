@@ -155,7 +155,7 @@ pub struct MethodRecord {
 /// Gain of one drive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GainRecord {
-    /// Gain that was used, N·m/A; `null` where neither standstill nor the description tells it.
+    /// Gain that was used, N·m/A; `null` where neither standstill nor the description gives it.
     pub gain_nm_a: Option<f64>,
     /// Its standard deviation; `null` where standstill does not determine the gain and the description's was taken.
     pub std_nm_a: Option<f64>,

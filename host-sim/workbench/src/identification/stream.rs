@@ -1,11 +1,12 @@
 //! Logs as prepared rows: as a stream of stretches, or a periodic one folded into one period.
 
+use super::clock::GAP_PERIODS;
 use super::columns::Layout;
 use super::filter::{despiked, median};
 use super::log::{LogReader, LogRow};
 use super::normal::SpeedSums;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch, states};
-use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::whole_log::WholeLog;
 use super::{IdentifyError, refused};
 use crate::Refusal;
 use crate::parallel::{cores, in_parallel};
@@ -158,14 +159,15 @@ pub(super) fn folded(
         return Err(refused(path, problem));
     }
     let phases = fold.count.len();
-    if let Some(rows) = fold.repeats.other(phases) {
-        let found = rows * fold.row_s;
-        let problem = match rows.is_nan() {
-            true => format!(
-                "the positions do not repeat every {period_s} s: cut off what is not the excitation, or give its period"
-            ),
-            false => format!("the positions repeat every {found:.5} s, not every {period_s} s"),
-        };
+    let Some(late_rows) = fold.repeats.late_rows() else {
+        let problem = format!(
+            "the positions do not repeat every {period_s} s: cut off what is not the excitation, or give its period"
+        );
+        return Err(refused(path, problem));
+    };
+    if late_rows.abs() > 0.5 {
+        let found = period_s - late_rows * fold.row_s;
+        let problem = format!("the positions repeat every {found:.5} s, not every {period_s} s");
         return Err(refused(path, problem));
     }
     let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
@@ -195,8 +197,10 @@ struct Fold {
     /// Positions, torques, and torques without spikes.
     tables: [Vec<f64>; 3],
     spikes: usize,
-    /// Positions of the period before, and of the row before.
-    before: (Vec<Option<f64>>, Vec<f64>),
+    /// Positions of the period before, phase by phase.
+    period_before: Vec<Option<f64>>,
+    /// Positions of the row before.
+    row_before: Vec<f64>,
     repeats: Repeats,
 }
 
@@ -214,19 +218,19 @@ struct Repeats {
 const DIFFERENT: f64 = 0.01;
 
 impl Repeats {
-    /// The period in rows, if it is not `phases`; NaN where the log has none near that.
-    fn other(&self, phases: usize) -> Option<f64> {
+    /// Rows by which the period is too long; `None` where the positions do not repeat.
+    fn late_rows(&self) -> Option<f64> {
         let [differences, shift, steps] = self.apart;
         let variances = self
             .motion
             .iter()
             .map(|[rows, sum, square]| square - sum * sum / rows);
-        let rest = differences - shift * shift / steps;
-        if rest > DIFFERENT * variances.sum::<f64>() {
-            return Some(f64::NAN);
+        if steps == 0.0 {
+            // One period, or an arm at rest.
+            return Some(0.0);
         }
-        let rows = shift / steps;
-        (rows.abs() > 0.5).then_some(phases as f64 - rows)
+        let rest = differences - shift * shift / steps;
+        (rest <= DIFFERENT * variances.sum::<f64>()).then_some(shift / steps)
     }
 }
 
@@ -252,7 +256,8 @@ impl Fold {
             t_s: vec![0.0; phases],
             tables: [(); 3].map(|()| vec![0.0; phases * joints]),
             spikes: 0,
-            before: (vec![None; phases * joints], Vec::new()),
+            period_before: vec![None; phases * joints],
+            row_before: Vec::new(),
             repeats: Repeats {
                 motion: vec![[0.0; 3]; joints],
                 ..Repeats::default()
@@ -284,9 +289,8 @@ impl Fold {
             self.count[phase] += 1.0;
             self.t_s[phase] += row.t_s;
             for (joint, &q) in row.q.iter().enumerate() {
-                let (periods, rows) = &mut self.before;
-                let last = periods[phase * joints + joint].replace(q);
-                if let (Some(last), Some(row)) = (last, rows.get(joint)) {
+                let last = self.period_before[phase * joints + joint].replace(q);
+                if let (Some(last), Some(row)) = (last, self.row_before.get(joint)) {
                     let (apart, step) = (q - last, q - row);
                     let products = [apart * apart, apart * step, step * step];
                     let sums = self.repeats.apart.iter_mut().zip(products);
@@ -295,7 +299,7 @@ impl Fold {
                 let sums = self.repeats.motion[joint].iter_mut().zip([1.0, q, q * q]);
                 sums.for_each(|(sum, value)| *sum += value);
             }
-            self.before.1 = row.q.to_vec();
+            self.row_before = row.q.to_vec();
             for (table, values) in self.tables.iter_mut().zip([&row.q[..], &row.tau, clean]) {
                 let sums = &mut table[phase * joints..][..joints];
                 sums.iter_mut()

@@ -1,8 +1,6 @@
 //! A log with its lost rows put in: filters and derivatives need rows that are equally far apart.
-//!
-//! The clock of a log is even, stamped on arrival, or its stamps are true.
 
-use super::filter::median;
+use super::clock::{Clock, GAP_PERIODS, StepTimes, clock};
 use super::log::{LogReader, LogRow};
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
@@ -60,12 +58,8 @@ impl WholeLog {
                 }
             });
         }
-        let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
-        let median_s = median(&mut steps);
-        steps.sort_by(f64::total_cmp);
-        let [shortest_s, longest_s] =
-            [0.05, 0.95].map(|part| steps[(part * steps.len() as f64) as usize]);
-        let (clock, period_s) = clock(&first, [median_s, longest_s]);
+        let steps = StepTimes::of(&first);
+        let (clock, period_s) = clock(&first, &steps);
         let times = repeats(&first);
         if times > 1 {
             reader.notes.push(format!(
@@ -81,7 +75,7 @@ impl WholeLog {
             resolution: resolution(&first),
             period_s,
             clock,
-            longest_s,
+            longest_s: steps.longest_s,
             last: None,
             next_s: f64::NEG_INFINITY,
             ahead: [None; 2],
@@ -92,8 +86,8 @@ impl WholeLog {
             log.notes.push(format!(
                 "{}: rows {:.1} to {:.1} ms apart were put on a grid of {:.2} ms by their stamps",
                 path.display(),
-                1e3 * shortest_s,
-                1e3 * longest_s,
+                1e3 * steps.shortest_s,
+                1e3 * steps.longest_s,
                 1e3 * log.period_s
             ));
         }
@@ -241,111 +235,8 @@ fn between(a: &LogRow, b: &LogRow, part: f64, has_velocity: bool) -> LogRow {
     }
 }
 
-/// A step in time of more than this many periods cuts the log; the rows lost in a shorter one, four at most, are put in.
-pub(super) const GAP_PERIODS: f64 = 5.5;
 /// Share of the delay of a row by which the even times follow.
 const FOLLOWED: f64 = 0.01;
-/// A step shorter than this many periods ends at a row that was stamped in time, and begins at one that was late.
-const ARRIVAL_PERIODS: f64 = 0.5;
-
-/// Largest jitter of a clock that counts as even, RMS, share of a period.
-const EVEN: f64 = 0.05;
-
-/// Share of the squared way between neighbours that noise does not reach: alone it leaves three quarters.
-const MOVES: f64 = 0.1;
-
-/// Use of the stamps of a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Clock {
-    /// Rows are evenly spaced, but for lost ones.
-    Even,
-    /// Rows are evenly spaced, stamped on arrival.
-    Arrival,
-    /// Rows were taken at their uneven stamps.
-    Stamps,
-}
-
-/// Mean period of the steps, s, from their median: steps that scatter about two lengths have their median at the edge of the
-/// shorter.
-fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
-    let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * median_s);
-    let (time_s, periods) = short.fold((0.0, 0.0), |(time_s, periods), step_s| {
-        (
-            time_s + step_s,
-            periods + (step_s / median_s).round().max(1.0),
-        )
-    });
-    if periods > 0.0 {
-        time_s / periods
-    } else {
-        median_s
-    }
-}
-
-/// Clock of a log and its period, s, from its first rows. Where steps are uneven, the positions decide: each lies between
-/// its neighbours where the stamps say, where lost rows put it, or in the middle.
-///
-/// * `steps` median step, and the one that 95 % do not exceed, s
-fn clock(rows: &[LogRow], [median_s, longest_s]: [f64; 2]) -> (Clock, f64) {
-    let steps = || rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
-    let on_arrival = || {
-        let kept = || steps().filter(|step_s| *step_s <= GAP_PERIODS * longest_s);
-        (Clock::Arrival, kept().sum::<f64>() / kept().count() as f64)
-    };
-    // Rows that come in bursts.
-    if longest_s > GAP_PERIODS * median_s {
-        return on_arrival();
-    }
-    let period_s = mean_period_s(steps(), median_s);
-    let whole = |step_s: f64| (step_s / period_s).round().max(1.0);
-    let (mut jitter, mut count, mut late, mut early) = (0.0, 0.0, 0, 0);
-    for step_s in steps().filter(|step_s| *step_s <= GAP_PERIODS * period_s) {
-        jitter += (step_s / period_s - whole(step_s)).powi(2);
-        count += 1.0;
-        late += usize::from(whole(step_s) > 1.0);
-        early += usize::from(step_s < ARRIVAL_PERIODS * period_s);
-    }
-    // Squared errors of a position on the line between its neighbours, by each of the three, and squared differences of the
-    // first from the others. Noise and bends are in all errors: if the stamps are true, the others err by as much more.
-    let (mut errors, mut apart, mut ways) = ([0.0; 3], [0.0; 3], 0.0);
-    for three in rows.windows(3) {
-        let [before_s, after_s] = [0, 1].map(|k| three[k + 1].t_s - three[k].t_s);
-        if before_s.max(after_s) > GAP_PERIODS * period_s {
-            continue;
-        }
-        let share = |before: f64, after: f64| before / (before + after);
-        let stamped = share(before_s, after_s);
-        let shares = [stamped, share(whole(before_s), whole(after_s)), 0.5];
-        for joint in 0..three[0].q.len() {
-            let [here, way] = [1, 2].map(|k| three[k].q[joint] - three[0].q[joint]);
-            for ((error, apart), share) in errors.iter_mut().zip(&mut apart).zip(shares) {
-                *error += (here - way * share).powi(2);
-                *apart += (way * (stamped - share)).powi(2);
-            }
-            ways += way * way;
-        }
-    }
-    let uneven = (jitter / f64::max(count, 1.0)).sqrt() > EVEN;
-    let [by_stamps, by_losses, by_count] = errors;
-    let better = |other: usize| errors[other] - by_stamps > 0.5 * apart[other];
-    if uneven && better(1) && better(2) {
-        return (Clock::Stamps, period_s);
-    }
-    // At rest, positions tell nothing. A delay is a long step before a short one: where most long steps have one, no row is
-    // lost.
-    let moves = by_losses.min(by_count) < MOVES * ways;
-    let no_loss = if moves {
-        by_count < by_losses
-    } else {
-        early > 0 && 2 * early >= late
-    };
-    match no_loss {
-        true => on_arrival(),
-        false if late == 0 && !uneven => (Clock::Even, median_s),
-        false => (Clock::Even, period_s),
-    }
-}
-
 /// Resolution of the positions, rad: the least change from a row to the next; 0 at rest.
 fn resolution(rows: &[LogRow]) -> Vec<f64> {
     let joints = rows.first().map_or(0, |row| row.q.len());
@@ -369,10 +260,10 @@ fn repeats(rows: &[LogRow]) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn motion(t: f64) -> (f64, f64) {
+    pub(in crate::identification) fn motion(t: f64) -> (f64, f64) {
         (
             0.3 - t + 2.0 * t * t - 0.7 * t.powi(3),
             -1.0 + 4.0 * t - 2.1 * t * t,
@@ -385,7 +276,11 @@ mod tests {
     }
 
     /// Rows of [`stamped`] with velocities that are wrong by up to `error`, rad/s, or without velocities.
-    fn written(times_s: &[f64], stamps_s: &[f64], error: Option<f64>) -> (Vec<LogRow>, WholeLog) {
+    pub(in crate::identification) fn written(
+        times_s: &[f64],
+        stamps_s: &[f64],
+        error: Option<f64>,
+    ) -> (Vec<LogRow>, WholeLog) {
         let here = tempfile::tempdir().expect("a directory for temporary files");
         let path = here.path().join("log.csv");
         let velocity = if error.is_some() { "qd1_rad_s," } else { "" };
@@ -425,83 +320,6 @@ mod tests {
             let step = pair[1].t_s - pair[0].t_s;
             assert!((step - 8e-3).abs() < 5e-4, "{step}");
         }
-    }
-
-    #[test]
-    fn an_uneven_clock_is_put_on_a_grid_by_its_stamps() {
-        let mut times = vec![0.0];
-        for k in 0..400 {
-            times.push(times[k] + if k % 2 == 0 { 10e-3 } else { 12e-3 });
-        }
-        let (rows, log) = stamped(&times, &times);
-        assert!((log.period_s() - 11e-3).abs() < 1e-12);
-        assert!(
-            log.notes
-                .iter()
-                .any(|note| note.contains("grid of 11.00 ms"))
-        );
-        for (k, row) in rows.iter().enumerate() {
-            let (q, _) = motion(row.t_s);
-            assert!((row.t_s - 11e-3 * k as f64).abs() < 1e-9);
-            assert!((row.q[0] - q).abs() < 1e-9, "{} at {}", row.q[0], row.t_s);
-        }
-        assert!(rows.len() > 398, "{}", rows.len());
-    }
-
-    #[test]
-    fn the_positions_tell_true_stamps_from_those_of_arrival() {
-        let even: Vec<f64> = (0..400).map(|k| 1e-3 * f64::from(k)).collect();
-        let jitter = |(k, t): (usize, &f64)| t + [0.0, 2e-4, -2e-4][k * 7 % 5 % 3];
-        let uneven: Vec<f64> = even.iter().enumerate().map(jitter).collect();
-        for error in [Some(0.5), None] {
-            let grid = |times: &[f64]| {
-                let (_, log) = written(times, &uneven, error);
-                log.notes.iter().any(|note| note.contains("put on a grid"))
-            };
-            assert!(grid(&uneven), "rows at their stamps, {error:?}");
-            assert!(!grid(&even), "even rows with uneven stamps, {error:?}");
-        }
-    }
-
-    #[test]
-    fn one_odd_step_changes_no_clock() {
-        // Two of three steps are 10 ms, the first is 2 ms.
-        let mut uneven = vec![0.0, 2e-3];
-        let mut lost = vec![0.0, 2e-3];
-        for k in 1..400 {
-            uneven.push(uneven[k] + if k % 3 == 0 { 12e-3 } else { 10e-3 });
-            lost.push(lost[k] + if k % 5 == 0 { 16e-3 } else { 8e-3 });
-        }
-        for error in [Some(0.0), None] {
-            let (_, log) = written(&uneven, &uneven, error);
-            let mean_s = 32e-3 / 3.0;
-            assert!((log.period_s() - mean_s).abs() < 1e-4, "{}", log.period_s());
-            let (_, log) = written(&lost, &lost, error);
-            assert!(log.lost > 70, "{}", log.lost);
-            assert!((log.period_s() - 8e-3).abs() < 1e-4, "{}", log.period_s());
-        }
-        // Rows of 2 ms in bursts of eight, and with delays of up to a period.
-        let even: Vec<f64> = (0..400).map(|k| 2e-3 * f64::from(k)).collect();
-        let burst = |(k, _): (usize, &f64)| 16e-3 * (k / 8) as f64 + 2e-5 * (k % 8) as f64;
-        let delay = |(k, t): (usize, &f64)| t + 1.9e-3 * (k * 7 % 19) as f64 / 19.0;
-        let all = even.iter().enumerate();
-        for stamps in [
-            all.clone().map(burst).collect::<Vec<_>>(),
-            all.map(delay).collect(),
-        ] {
-            let (rows, log) = written(&even, &stamps, None);
-            assert_eq!((rows.len(), log.lost), (even.len(), 0));
-            assert!((log.period_s() - 2e-3).abs() < 5e-5, "{}", log.period_s());
-        }
-        // Even rows whose stamps are rounded to 2 ms: the median step is 10 ms.
-        let even: Vec<f64> = (0..400).map(|k| 32e-3 / 3.0 * f64::from(k)).collect();
-        let rounded: Vec<f64> = even.iter().map(|t| (t / 2e-3).round() * 2e-3).collect();
-        let (_, log) = written(&even, &rounded, None);
-        assert!(
-            (log.period_s() - 32e-3 / 3.0).abs() < 1e-4,
-            "{}",
-            log.period_s()
-        );
     }
 
     #[test]

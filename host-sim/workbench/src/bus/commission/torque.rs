@@ -16,13 +16,15 @@ const LEVELS: [f64; 7] = [0.005, 0.0085, 0.02, 0.035, 0.05, 0.07, 0.095];
 const PUSH: (f64, f64) = (0.4, 0.04);
 /// Longest coasting, s, and the travel that ends it, rad.
 const COAST: (f64, f64) = (0.1, 0.04);
-/// Least speed that is motion, rad/s: Coulomb friction has its full torque there. Samples on either side that show it.
+/// Least speed that is motion, rad/s: Coulomb friction has its full torque there.
 const MOTION_RAD_S: f64 = 0.05;
+/// Samples on either side over which the speed is the mean.
 const AROUND: usize = 4;
-/// Largest standard deviations of a ratio of torques, and half the largest difference of the ratios of both ways, parts. A
-/// ratio that is only rough ends the rise of the torque.
+/// Largest relative standard deviation of a ratio by which a drive is judged.
 const DEVIATION: f64 = 0.05;
+/// Largest relative standard deviation of a ratio that may end the rise of the torque.
 const ROUGH: f64 = 0.2;
+/// Half the largest relative difference between the ratios of both ways.
 const SPREAD: f64 = 0.15;
 /// Ratios of the torque that arrives to the commanded one that pass: a scale wrong by 2 does not, even where the described
 /// inertia is a fifth off.
@@ -90,7 +92,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             true => "pushes both ways differ".to_owned(),
             false => format!("no motion at {most:.2} N·m, a tenth of its limit"),
         };
-        self.untold.push((joint, reason));
+        self.undetermined.push((joint, reason));
         Ok(())
     }
 

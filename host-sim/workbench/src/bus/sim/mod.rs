@@ -258,7 +258,7 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
                 };
                 self.plant = self.plant.clone().with_events(events);
             }
-            Ask::Untold { .. } => return Ok(()),
+            Ask::Undetermined { .. } => return Ok(()),
         }
         self.plant.place(&q);
         self.braked = true;

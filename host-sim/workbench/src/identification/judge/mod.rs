@@ -11,13 +11,14 @@ pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, description};
 
 use super::IdentifyError;
+use super::clock::GAP_PERIODS;
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Thinned;
 use super::log::{LogRow, Roughness};
 use super::normal::NormalEquations;
 use super::prepare::{PrepareConfig, other_unit_of_time};
 use super::stream::for_each_prepared;
-use super::whole_log::{GAP_PERIODS, WholeLog};
+use super::whole_log::WholeLog;
 use crate::dynamics::PerJoint;
 use crate::robot::{Joint, Robot};
 use compare::compare;

@@ -1,0 +1,244 @@
+//! Clock of a log: rows are even, stamped on arrival, or taken at their stamps.
+
+use super::filter::median;
+use super::log::LogRow;
+
+/// A step in time of more than this many periods cuts the log; the rows lost in a shorter one, four at most, are put in.
+pub(super) const GAP_PERIODS: f64 = 5.5;
+/// A step shorter than this many periods ends at a row that was stamped in time, and begins at one that was late.
+const ARRIVAL_PERIODS: f64 = 0.5;
+
+/// Largest jitter of a clock that counts as even, RMS, share of a period.
+const EVEN: f64 = 0.05;
+
+/// Share of the squared way between neighbours that noise does not reach: alone it leaves three quarters.
+const MOVES: f64 = 0.1;
+
+/// Use of the stamps of a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Clock {
+    /// Rows are evenly spaced, but for lost ones.
+    Even,
+    /// Rows are evenly spaced, stamped on arrival.
+    Arrival,
+    /// Rows were taken at their uneven stamps.
+    Stamps,
+}
+
+/// Mean period of the steps, s, from their median: steps that scatter about two lengths have their median at the edge of the
+/// shorter.
+fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
+    let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * median_s);
+    let (time_s, periods) = short.fold((0.0, 0.0), |(time_s, periods), step_s| {
+        (
+            time_s + step_s,
+            periods + (step_s / median_s).round().max(1.0),
+        )
+    });
+    if periods > 0.0 {
+        time_s / periods
+    } else {
+        median_s
+    }
+}
+
+/// Step times of the first rows of a log, s.
+pub(super) struct StepTimes {
+    /// Step that 5 % of the rows do not exceed.
+    pub(super) shortest_s: f64,
+    median_s: f64,
+    /// Step that 95 % of the rows do not exceed.
+    pub(super) longest_s: f64,
+}
+
+impl StepTimes {
+    /// Step times of `rows`, two at least.
+    pub(super) fn of(rows: &[LogRow]) -> Self {
+        let mut steps: Vec<f64> = steps(rows).collect();
+        let median_s = median(&mut steps);
+        steps.sort_by(f64::total_cmp);
+        let part = |part: f64| steps[(part * steps.len() as f64) as usize];
+        Self {
+            shortest_s: part(0.05),
+            median_s,
+            longest_s: part(0.95),
+        }
+    }
+}
+
+fn steps(rows: &[LogRow]) -> impl Iterator<Item = f64> {
+    rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s)
+}
+
+/// Clock of a log and its period, s, from its first rows. Where steps are uneven, the positions decide: each lies between
+/// its neighbours by their stamps, by lost rows, or in the middle.
+pub(super) fn clock(rows: &[LogRow], times: &StepTimes) -> (Clock, f64) {
+    let (median_s, longest_s) = (times.median_s, times.longest_s);
+    let on_arrival = || {
+        let kept = || steps(rows).filter(|step_s| *step_s <= GAP_PERIODS * longest_s);
+        (Clock::Arrival, kept().sum::<f64>() / kept().count() as f64)
+    };
+    // Rows that come in bursts.
+    if longest_s > GAP_PERIODS * median_s {
+        return on_arrival();
+    }
+    let period_s = mean_period_s(steps(rows), median_s);
+    let (mut jitter, mut count, mut late, mut early) = (0.0, 0.0, 0, 0);
+    for step_s in steps(rows).filter(|step_s| *step_s <= GAP_PERIODS * period_s) {
+        let whole = whole_periods(step_s, period_s);
+        jitter += (step_s / period_s - whole).powi(2);
+        count += 1.0;
+        late += usize::from(whole > 1.0);
+        early += usize::from(step_s < ARRIVAL_PERIODS * period_s);
+    }
+    let uneven = (jitter / f64::max(count, 1.0)).sqrt() > EVEN;
+    let places = Places::of(rows, period_s);
+    if uneven && places.are_stamped() {
+        return (Clock::Stamps, period_s);
+    }
+    // A delay is a long step before a short one: where most long steps have one, no row is lost.
+    let answered = early > 0 && 2 * early >= late;
+    match places.are_even().unwrap_or(answered) {
+        true => on_arrival(),
+        false if late == 0 && !uneven => (Clock::Even, median_s),
+        false => (Clock::Even, period_s),
+    }
+}
+
+/// Whole periods of a step, at least one.
+fn whole_periods(step_s: f64, period_s: f64) -> f64 {
+    (step_s / period_s).round().max(1.0)
+}
+
+/// Errors of positions that are expected on the line between their neighbours: at the place of their stamps, of whole
+/// periods with lost rows, and in the middle.
+#[derive(Default)]
+struct Places {
+    /// Sums of the squared errors.
+    errors: [f64; 3],
+    /// Sums of the squared distances from the place of the stamps.
+    apart: [f64; 3],
+    /// Sum of the squared distances of the neighbours.
+    ways: f64,
+}
+
+impl Places {
+    fn of(rows: &[LogRow], period_s: f64) -> Self {
+        let mut sums = Self::default();
+        for three in rows.windows(3) {
+            let [before_s, after_s] = [0, 1].map(|k| three[k + 1].t_s - three[k].t_s);
+            if before_s.max(after_s) > GAP_PERIODS * period_s {
+                continue;
+            }
+            let share = |before: f64, after: f64| before / (before + after);
+            let stamped = share(before_s, after_s);
+            let [before, after] = [before_s, after_s].map(|step| whole_periods(step, period_s));
+            let shares = [stamped, share(before, after), 0.5];
+            for joint in 0..three[0].q.len() {
+                let [here, way] = [1, 2].map(|k| three[k].q[joint] - three[0].q[joint]);
+                let own = sums.errors.iter_mut().zip(&mut sums.apart);
+                for ((error, apart), share) in own.zip(shares) {
+                    *error += (here - way * share).powi(2);
+                    *apart += (way * (stamped - share)).powi(2);
+                }
+                sums.ways += way * way;
+            }
+        }
+        sums
+    }
+
+    /// The stamps are true. Noise and bends are in all errors: then the others err by as much more as they are apart, and
+    /// half of that is the border.
+    fn are_stamped(&self) -> bool {
+        let more = |other: usize| self.errors[other] - self.errors[0];
+        more(1) > 0.5 * self.apart[1] && more(2) > 0.5 * self.apart[2]
+    }
+
+    /// The rows are even and none is lost; `None` where the motion is too small to decide.
+    fn are_even(&self) -> Option<bool> {
+        let [_, by_losses, by_count] = self.errors;
+        (by_losses.min(by_count) < MOVES * self.ways).then_some(by_count < by_losses)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::identification::whole_log::tests::{motion, written};
+
+    #[test]
+    fn an_uneven_clock_is_put_on_a_grid_by_its_stamps() {
+        let mut times = vec![0.0];
+        for k in 0..400 {
+            times.push(times[k] + if k % 2 == 0 { 10e-3 } else { 12e-3 });
+        }
+        let (rows, log) = written(&times, &times, Some(0.0));
+        assert!((log.period_s() - 11e-3).abs() < 1e-12);
+        assert!(
+            log.notes
+                .iter()
+                .any(|note| note.contains("grid of 11.00 ms"))
+        );
+        for (k, row) in rows.iter().enumerate() {
+            let (q, _) = motion(row.t_s);
+            assert!((row.t_s - 11e-3 * k as f64).abs() < 1e-9);
+            assert!((row.q[0] - q).abs() < 1e-9, "{} at {}", row.q[0], row.t_s);
+        }
+        assert!(rows.len() > 398, "{}", rows.len());
+    }
+
+    #[test]
+    fn positions_distinguish_true_stamps_from_those_of_arrival() {
+        let even: Vec<f64> = (0..400).map(|k| 1e-3 * f64::from(k)).collect();
+        let jitter = |(k, t): (usize, &f64)| t + [0.0, 2e-4, -2e-4][k * 7 % 5 % 3];
+        let uneven: Vec<f64> = even.iter().enumerate().map(jitter).collect();
+        for error in [Some(0.5), None] {
+            let grid = |times: &[f64]| {
+                let (_, log) = written(times, &uneven, error);
+                log.notes.iter().any(|note| note.contains("put on a grid"))
+            };
+            assert!(grid(&uneven), "rows at their stamps, {error:?}");
+            assert!(!grid(&even), "even rows with uneven stamps, {error:?}");
+        }
+    }
+
+    #[test]
+    fn one_odd_step_changes_no_clock() {
+        // Two of three steps are 10 ms, the first is 2 ms.
+        let mut uneven = vec![0.0, 2e-3];
+        let mut lost = vec![0.0, 2e-3];
+        for k in 1..400 {
+            uneven.push(uneven[k] + if k % 3 == 0 { 12e-3 } else { 10e-3 });
+            lost.push(lost[k] + if k % 5 == 0 { 16e-3 } else { 8e-3 });
+        }
+        for error in [Some(0.0), None] {
+            let (_, log) = written(&uneven, &uneven, error);
+            let mean_s = 32e-3 / 3.0;
+            assert!((log.period_s() - mean_s).abs() < 1e-4, "{}", log.period_s());
+            let (_, log) = written(&lost, &lost, error);
+            assert!(log.lost > 70, "{}", log.lost);
+            assert!((log.period_s() - 8e-3).abs() < 1e-4, "{}", log.period_s());
+        }
+        // Rows of 2 ms in bursts of eight, and with delays of up to a period.
+        let even: Vec<f64> = (0..400).map(|k| 2e-3 * f64::from(k)).collect();
+        let burst = |(k, _): (usize, &f64)| 16e-3 * (k / 8) as f64 + 2e-5 * (k % 8) as f64;
+        let delay = |(k, t): (usize, &f64)| t + 1.9e-3 * (k * 7 % 19) as f64 / 19.0;
+        let all = even.iter().enumerate();
+        for stamps in [
+            all.clone().map(burst).collect::<Vec<_>>(),
+            all.map(delay).collect(),
+        ] {
+            let (rows, log) = written(&even, &stamps, None);
+            assert_eq!((rows.len(), log.lost), (even.len(), 0));
+            assert!((log.period_s() - 2e-3).abs() < 5e-5, "{}", log.period_s());
+        }
+        // Even rows whose stamps are rounded to 2 ms: the median step is 10 ms.
+        let even: Vec<f64> = (0..400).map(|k| 32e-3 / 3.0 * f64::from(k)).collect();
+        let rounded: Vec<f64> = even.iter().map(|t| (t / 2e-3).round() * 2e-3).collect();
+        let (_, log) = written(&even, &rounded, None);
+        assert!(
+            (log.period_s() - 32e-3 / 3.0).abs() < 1e-4,
+            "{}",
+            log.period_s()
+        );
+    }
+}
