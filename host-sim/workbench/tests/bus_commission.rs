@@ -13,6 +13,7 @@ use foretorque_workbench::bus::{BusError, BusPlayer, Commissioning, JointEntry, 
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::robot::{Link, Perturbation, Robot};
+use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
 type Arm6 = Commissioning<Ur5, SimulatedNetwork<6>, 6, 40>;
@@ -265,6 +266,23 @@ fn sound_drives_pass_at_any_friction_and_wrong_ones_at_none() {
         }
         // A joint that is held by more than it is pushed has no ratio, and that is no mistake.
         assert_eq!(pushed(arm, (0.15, 1), |_| ()), (None, [None; 6]), "{name}");
+    }
+}
+
+/// Pose of the UR5 that stands straight up: no torque of gravity, and no rest either.
+const UPRIGHT: [f64; 6] = [0.0, -FRAC_PI_2, 0.0, -FRAC_PI_2, 0.0, 0.0];
+
+#[test]
+fn joints_that_give_way_end_a_push_and_are_held_by_no_more_than_a_tenth() {
+    for (robot, mut profile) in arms() {
+        profile.rest_rad = UPRIGHT.to_vec();
+        let arm = (robot, profile);
+        for (seed, share) in [(1, 0.0), (2, 0.01), (4, 0.03)] {
+            let (failed, ratios) = pushed(&arm, (share, seed), |_| ());
+            assert_eq!(failed, None, "{}, {seed}, {share}", arm.0.name);
+            // Its axis is vertical: it does not fall.
+            assert!(ratios[0].is_some(), "{ratios:?}");
+        }
     }
 }
 

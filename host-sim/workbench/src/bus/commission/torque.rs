@@ -12,10 +12,14 @@ use nalgebra::{Matrix5, Vector5};
 
 /// Torques of the probe, parts of the limit, in the order in which they are tried. The last is the largest.
 const LEVELS: [f64; 7] = [0.005, 0.0085, 0.02, 0.035, 0.05, 0.07, 0.095];
-/// Longest push, s, and the travel that ends it, rad.
-const PUSH: (f64, f64) = (0.4, 0.04);
-/// Longest coasting, s, and the travel that ends it, rad.
-const COAST: (f64, f64) = (0.1, 0.04);
+/// Longest rest before a push, longest push and longest coasting, s.
+const REST_S: f64 = 0.1;
+const PUSH_S: f64 = 0.4;
+const COAST_S: f64 = 0.1;
+/// Travel of any joint that ends each of them, rad: those that are off may give way, and none is to fall.
+const TRAVEL_RAD: f64 = 0.04;
+/// Speed of a joint that is held that ends each of them, rad/s.
+const GIVES_RAD_S: f64 = 0.5;
 /// Least speed that is motion, rad/s: Coulomb friction has its full torque there.
 const MOTION_RAD_S: f64 = 0.05;
 /// Samples on either side over which the speed is the mean.
@@ -47,12 +51,15 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let limit = f64::from(A::limits()[joint].torque);
         let found = &mut self.found[joint];
         (found.breakaway_nm, found.torque_ratio) = (None, None);
+        let mut weak = None;
         for (place, level) in LEVELS.into_iter().enumerate() {
             let push_nm = level * limit;
             let mut ratios: Vec<f64> = Vec::new();
             let mut worst: f64 = 0.0;
             for way in [1.0, -1.0] {
-                let Some((ratio, deviation)) = self.push(joint, way * push_nm)? else {
+                let (ratio, gives) = self.push(joint, way * push_nm)?;
+                weak = gives.or(weak);
+                let Some((ratio, deviation)) = ratio else {
                     continue;
                 };
                 self.found[joint].breakaway_nm.get_or_insert(push_nm);
@@ -82,15 +89,19 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let friction = self.friction_nm[joint];
         let moved = self.found[joint].breakaway_nm.is_some();
         // Friction that is described, and far below the push, holds no joint.
-        let held = moved || friction == 0.0 || friction > 0.5 * most;
+        let held = moved || weak.is_some() || friction == 0.0 || friction > 0.5 * most;
         check(joint, held, || {
             format!(
                 "scale of torque: no motion at {most:.2} N·m, a tenth of its limit, against a friction of {friction:.2} N·m; is it too small, or is the joint blocked?"
             )
         })?;
-        let reason = match moved {
-            true => "pushes both ways differ".to_owned(),
-            false => format!("no motion at {most:.2} N·m, a tenth of its limit"),
+        let reason = match (weak, moved) {
+            (Some(other), _) => format!(
+                "joint {} gives way; does the arm rest in rest_rad?",
+                other + 1
+            ),
+            (None, true) => "pushes both ways differ".to_owned(),
+            (None, false) => format!("no motion at {most:.2} N·m, a tenth of its limit"),
         };
         self.undetermined.push((joint, reason));
         Ok(())
@@ -112,19 +123,26 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     }
 
     /// Pushes a joint from where brakes or friction hold the arm, and lets it coast: [`ratio`](Self::ratio) of the torque
-    /// that arrives.
-    fn push(&mut self, joint: usize, push_nm: f64) -> Result<Option<(f64, f64)>, BusError> {
+    /// that arrives, and the joint beside it that gave way.
+    fn push(
+        &mut self,
+        joint: usize,
+        push_nm: f64,
+    ) -> Result<(Option<(f64, f64)>, Option<usize>), BusError> {
         self.switch_off()?;
-        self.settle(joint, 0.1)?;
-        let mut path = self.run(joint, push_nm, PUSH)?;
+        if let (_, Some(other)) = self.run(joint, f64::NAN, REST_S)? {
+            return Ok((None, Some(other)));
+        }
+        let (mut path, gave) = self.run(joint, push_nm, PUSH_S)?;
         let switch = path.len();
         let end_s = path.last().map_or(0.0, |sample| sample.t_s) + self.player.period_s();
-        let coasted = self.run(joint, 0.0, COAST)?.into_iter();
-        path.extend(coasted.map(|sample| Sample {
+        let (coasted, strayed) = self.run(joint, 0.0, COAST_S)?;
+        path.extend(coasted.into_iter().map(|sample| Sample {
             t_s: end_s + sample.t_s,
             ..sample
         }));
-        Ok(self.ratio(joint, &path, switch))
+        let gives = gave.or(strayed).filter(|other| *other != joint);
+        Ok((self.ratio(joint, &path, switch), gives))
     }
 
     /// Torque that arrives over the commanded one, and its standard deviation, by the motion around sample `switch`, from
@@ -139,14 +157,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     /// Nothing is differentiated. Δq has all joints: those that swing or give way count. An error of the described
     /// gravity, constant over so small a travel, goes into c. Velocity products are left out.
     fn ratio(&self, joint: usize, path: &[Sample<N>], switch: usize) -> Option<(f64, f64)> {
-        let speed = |k: usize| {
-            let (one, later) = (k.saturating_sub(AROUND), (k + AROUND).min(path.len() - 1));
-            let (one, later) = (&path[one], &path[later]);
-            (later.q[joint] - one.q[joint]) / (later.t_s - one.t_s)
-        };
         path.get(switch)?;
-        let way = speed(switch).signum();
-        let moves = |k: &usize| way * speed(*k) > MOTION_RAD_S;
+        let way = speed(path, switch, joint).signum();
+        let moves = |k: &usize| way * speed(path, *k, joint) > MOTION_RAD_S;
         let start = (0..=switch).rev().take_while(moves).last()?;
         let end = (switch..path.len()).take_while(moves).last()?;
         let path = &path[start..=end];
@@ -294,29 +307,24 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         Ok(all)
     }
 
-    /// Holds the joints that have passed, leaves this one without torque, and waits.
-    fn settle(&mut self, joint: usize, time_s: f64) -> Result<(), BusError> {
-        self.run(joint, f64::NAN, (time_s, f64::INFINITY)).map(drop)
-    }
-
     /// Sends a torque to one joint, N·m, while those that have passed before it are held and the others are off: samples of
-    /// the arm.
+    /// the arm, and the joint whose motion has ended them.
     ///
     /// * `torque_nm` not a number: the joint is left without torque, and off where it has not passed
-    /// * `until` longest time, s, and the travel that ends it, rad
+    /// * `longest_s` the time after which it ends where no joint has travelled [`TRAVEL_RAD`]
     fn run(
         &mut self,
         joint: usize,
         torque_nm: f64,
-        until: (f64, f64),
-    ) -> Result<Vec<Sample<N>>, BusError> {
+        longest_s: f64,
+    ) -> Result<(Vec<Sample<N>>, Option<usize>), BusError> {
         let period_s = self.player.period_s();
         let joints = self.player.controller.config().joints;
         let here = self.player.positions();
         let mut carries = [Carry::default(); N];
         let mut path: Vec<Sample<N>> = Vec::new();
         let mut state = None;
-        for tick in 0..(until.0 / period_s) as usize {
+        for tick in 0..(longest_s / period_s) as usize {
             self.player.network.wait();
             let mut replied = false;
             while let Some((bus, frame)) = self.player.network.receive()? {
@@ -339,14 +347,20 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                     q: self.player.positions().cast(),
                 });
             }
-            let ends = path.first().zip(path.last());
-            if ends.is_some_and(|(first, last)| (last.q[joint] - first.q[joint]).abs() > until.1) {
-                break;
+            let held: [bool; N] = std::array::from_fn(|other| {
+                other < joint && self.found[other].torque_ratio.is_some()
+            });
+            let gives = |other: &usize| {
+                let speed = speed(&path, path.len(), *other);
+                let travel = path.last().map_or(0.0, |last| (last.q - path[0].q)[*other]);
+                travel.abs() > TRAVEL_RAD || held[*other] && speed.abs() > GIVES_RAD_S
+            };
+            if let Some(other) = (0..N).find(gives) {
+                return Ok((path, Some(other)));
             }
             for (index, entry) in joints.iter().enumerate() {
                 let mut frames = Frames::new();
-                let held = index < joint && self.found[index].torque_ratio.is_some();
-                if index != joint && !held {
+                if index != joint && !held[index] {
                     if tick < 3 || !entry.drive.order(Order::Report, &mut frames) {
                         entry.drive.order(Order::Disable, &mut frames);
                     }
@@ -357,8 +371,13 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                         position: here[index],
                         ..JointCommand::default()
                     };
-                    if held {
-                        (command.kp, command.kd) = (0.1 * entry.kp, 0.1 * entry.kd);
+                    if held[index] {
+                        let most = MOST * f64::from(A::limits()[index].torque);
+                        let (kp, kd) = (f64::from(entry.kp), f64::from(entry.kd));
+                        // What is seen of it is a few periods old.
+                        let travel = TRAVEL_RAD + 4.0 * period_s * GIVES_RAD_S;
+                        let part = (most / (kp * travel + kd * GIVES_RAD_S)).min(0.1) as f32;
+                        (command.kp, command.kd) = (part * entry.kp, part * entry.kd);
                     } else if !torque_nm.is_nan() {
                         command.torque = torque_nm as f32;
                     }
@@ -370,7 +389,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 }
             }
         }
-        Ok(path)
+        Ok((path, None))
     }
 
     /// Switches every drive off; the loop does so while it is off itself.
@@ -387,4 +406,14 @@ struct Sample<const N: usize> {
     t_s: f64,
     torque_nm: f64,
     q: Joints<N>,
+}
+
+/// Speed of a joint around sample `k`, rad/s; not a number before there are two samples.
+fn speed<const N: usize>(path: &[Sample<N>], k: usize, joint: usize) -> f64 {
+    let end = (k + AROUND + 1).min(path.len());
+    let around = &path[k.saturating_sub(AROUND).min(end)..end];
+    let ends = around.first().zip(around.last());
+    ends.map_or(f64::NAN, |(one, later)| {
+        (later.q - one.q)[joint] / (later.t_s - one.t_s)
+    })
 }
