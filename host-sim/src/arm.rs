@@ -7,7 +7,7 @@ use foretorque_workbench::robot::{Joint, Robot};
 use foretorque_workbench::urdf::{Import, Selection};
 
 /// Arm of a URDF, and values that take the place of the description's.
-#[derive(Clone, Debug, Default, Args)]
+#[derive(Clone, Debug, Default, PartialEq, Args)]
 #[command(next_help_heading = "Arm")]
 pub(super) struct ArmOptions {
     /// Name of the arm, in place of that in its file: lower-case letters, digits and underscores, a letter first

@@ -1,5 +1,6 @@
 //! The studies, each a command of its own.
 
+use super::arm::ArmOptions;
 use super::boards::BoardChoice;
 use super::terminal::{Bar, show};
 use super::{Failure, Snapshot, excite, identification, unusable};
@@ -147,6 +148,9 @@ struct Learning {
     /// Only the arms and scenarios whose names begin so; either may be left out: panda/slow, panda, /slow
     #[arg(long, value_name = "ARM/SCENARIO")]
     only: Option<String>,
+    /// Arm in place of those of the list: a built-in name, or a TOML, URDF or MJCF file
+    #[arg(long, conflicts_with = "list")]
+    robot: Option<String>,
     /// The short form
     #[arg(long)]
     quick: bool,
@@ -162,6 +166,8 @@ struct Learning {
     /// Number of seeds
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     seeds: u64,
+    #[command(flatten)]
+    arm: ArmOptions,
 }
 
 /// The paper's experiment step by step, then every method over noise, friction and outliers
@@ -327,7 +333,12 @@ fn run_learning(arguments: &Learning) -> Result<(), Failure> {
         }
         return Ok(());
     };
+    let robot = arguments.robot.as_ref();
+    if robot.is_none() && arguments.arm != ArmOptions::default() {
+        return Err(unusable("options of an arm need --robot"));
+    }
     let config = LearningConfig {
+        robot: robot.map(|name| arguments.arm.load(name)).transpose()?,
         seeds: (arguments.seed, arguments.seeds),
         only: arguments.only.clone(),
         quick: arguments.quick,

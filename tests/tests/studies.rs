@@ -16,6 +16,7 @@ fn learnt() -> LearningReport {
         seeds: (1, 1),
         only: Some("ur5/rigid".to_owned()),
         quick: true,
+        robot: None,
     };
     learning::run(&config, &|_, _, _| {}).expect("runs").report
 }

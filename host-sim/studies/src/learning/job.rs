@@ -35,7 +35,7 @@ pub(super) struct Bench<const N: usize> {
 
 impl<const N: usize> Bench<N> {
     pub(super) fn new(arm: &WorldArm, seed: u64) -> Result<Self, StudyError> {
-        let described = arm.described()?;
+        let described = arm.described.clone();
         let (mut rotors, _) = described.with_assumed_rotors();
         let pd = |robot: &Robot| {
             let model = ReferenceModel::<N>::new(robot).ok_or_else(|| unsupported(N))?;
@@ -52,7 +52,7 @@ impl<const N: usize> Bench<N> {
         let mut bench = Self {
             seed,
             truth: WorldArm::truth(&described, seed),
-            bare: WorldArm::bare(&described, arm.name == "ur10e"),
+            bare: WorldArm::bare(&described, arm.guessed_rotors),
             pd: [motor, pd(&rotors)?],
             unseen: unseen.collect(),
             scale: Joints::zeros(),
@@ -96,7 +96,6 @@ impl<const N: usize> Bench<N> {
     /// All scenarios of this arm whose names begin with `only`.
     pub(super) fn scenarios<A: Arm<N, P>, const P: usize>(
         &self,
-        arm: &WorldArm,
         config: &LearningConfig,
         only: &str,
         done: &dyn Fn(usize),
@@ -120,7 +119,7 @@ impl<const N: usize> Bench<N> {
                 let figures = self.figures::<A, P>(&scenario, (start, source), &bank, config)?;
                 let names = format!("{start:?}-{source:?}").to_lowercase();
                 reports.push(ScenarioReport {
-                    arm: arm.name.to_owned(),
+                    arm: self.described.name.clone(),
                     scenario: format!("{}-{names}", scenario.name),
                     seed: self.seed,
                     curve: figures.1,

@@ -13,6 +13,7 @@ use foretorque_workbench::board::Described;
 use foretorque_workbench::parallel::{cores, in_parallel};
 use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::report::plot::{Curve, Panel, PlotColor};
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::snapshot::{aligned, significant};
 use job::Bench;
 use serde::Serialize;
@@ -34,6 +35,8 @@ pub struct LearningConfig {
     pub only: Option<String>,
     /// The short form.
     pub quick: bool,
+    /// Arm that takes the place of those that are built in.
+    pub robot: Option<Robot>,
 }
 
 /// Figures of one scenario of one arm.
@@ -62,10 +65,12 @@ pub struct LearningReport {
     pub outcomes: Vec<Comparison>,
 }
 
-/// Names of all arms and scenarios, each with one line on what it shows.
+/// Names of all built-in arms and scenarios, each with one line on what it shows.
 pub fn names() -> impl Iterator<Item = (&'static str, &'static str)> {
     let scenarios = Scenario::all(false).map(|scenario| (scenario.name, scenario.shows));
-    ARMS.iter().map(|arm| (arm.name, arm.kind)).chain(scenarios)
+    ARMS.iter()
+        .map(|(name, _, kind)| (*name, *kind))
+        .chain(scenarios)
 }
 
 /// Runs the scenarios of all arms on all cores.
@@ -78,7 +83,16 @@ pub fn run(
     let only = config.only.as_deref().unwrap_or_default();
     let (arm, scenario) = only.split_once('/').unwrap_or((only, ""));
     let (first, count) = config.seeds;
-    let arms = ARMS.iter().filter(|own| own.name.starts_with(arm));
+    let world = match &config.robot {
+        Some(robot) => vec![WorldArm {
+            described: robot.clone(),
+            kind: "given by --robot",
+            guessed_rotors: false,
+        }],
+        None => WorldArm::all()?,
+    };
+    let arms = world.iter();
+    let arms = arms.filter(|own| own.described.name.starts_with(arm));
     let seeds = first..first.saturating_add(count);
     let jobs = seeds.flat_map(|seed| arms.clone().map(move |arm| (arm, seed)));
     let jobs: Vec<(&WorldArm, u64)> = jobs.collect();
@@ -104,7 +118,7 @@ pub fn run(
         scenarios,
     };
     Ok(Outcome {
-        page: page(&report),
+        page: page(&report, &world),
         text: text(&report),
         report,
     })
@@ -118,13 +132,16 @@ fn of_arm(
     scenario: &str,
     done: &dyn Fn(usize),
 ) -> Result<Vec<ScenarioReport>, StudyError> {
-    let robot = arm.described()?;
+    let robot = &arm.described;
     // Arms of the world have five joints or more: each size costs compile time.
     arms!(robot, N, P in (5, 36) (6, 40) (6, 44) (7, 48) (7, 52) (8, 60) => {
-        Described::<N, P>::read(&robot).ok_or_else(|| unsupported(N))?;
+        Described::<N, P>::read(robot).ok_or_else(|| unsupported(N))?;
         let bench = Bench::<N>::new(arm, seed)?;
-        bench.scenarios::<Described<N, P>, P>(arm, config, scenario, done)
-    }, else Err(unsupported(robot.joint_count())))
+        bench.scenarios::<Described<N, P>, P>(config, scenario, done)
+    }, else {
+        let (name, joints) = (&robot.name, robot.joint_count());
+        Err(format!("{name}: {joints} joints; the learning scenarios take arms of 5 to 8").into())
+    })
 }
 
 /// Beginnings of the names of arm and scenario, figure, side, bar.
@@ -202,11 +219,12 @@ fn reached(outcomes: &[&Comparison]) -> String {
     format!("{met} of {}", outcomes.len())
 }
 
-/// Arms that ran, in the order of the table.
-fn arms(report: &LearningReport) -> impl Iterator<Item = &'static str> {
-    let ran: BTreeSet<&str> = report.scenarios.iter().map(|s| s.arm.as_str()).collect();
-    let arms = ARMS.iter().map(|arm| arm.name);
-    arms.filter(move |arm| ran.contains(arm))
+/// Names of the arms that ran, in their order.
+fn arms(report: &LearningReport) -> Vec<&str> {
+    let mut ran: Vec<&str> = report.scenarios.iter().map(|s| s.arm.as_str()).collect();
+    let mut seen = BTreeSet::new();
+    ran.retain(|arm| seen.insert(*arm));
+    ran
 }
 
 /// Bars as rows, and one column for each arm: how many of its scenarios reach the bar, and the worst figure.
@@ -219,7 +237,7 @@ fn matrix(report: &LearningReport) -> (String, Vec<Vec<String>>) {
         }
     }
     let rows = bars.into_iter().map(|(figure, side, bar)| {
-        let cells = arms(report).map(|arm| {
+        let cells = arms(report).into_iter().map(|arm| {
             let mut own: Vec<&Comparison> = report.outcomes.iter().collect();
             own.retain(|own| own.arm == arm && (own.figure.as_str(), own.bar) == (figure, bar));
             let sign = if side == "at most" { 1.0 } else { -1.0 };
@@ -235,11 +253,11 @@ fn matrix(report: &LearningReport) -> (String, Vec<Vec<String>>) {
         let first = [figure.to_owned(), format!("{side} {bar}")];
         first.into_iter().chain(cells).collect()
     });
-    let header = arms(report).collect::<Vec<_>>().join(" | ");
+    let header = arms(report).join(" | ");
     (format!("figure | bar | {header}"), rows.collect())
 }
 
-fn page(report: &LearningReport) -> Page {
+fn page(report: &LearningReport, world: &[WorldArm]) -> Page {
     let all: Vec<&Comparison> = report.outcomes.iter().collect();
     let (header, rows) = matrix(report);
     let missed = report.outcomes.iter().filter(|outcome| !outcome.met);
@@ -263,9 +281,8 @@ fn page(report: &LearningReport) -> Page {
             ]
         })
     });
-    let kinds = ARMS
-        .iter()
-        .map(|arm| [arm.name, arm.kind].map(str::to_owned));
+    let kinds = world.iter();
+    let kinds = kinds.map(|arm| [arm.described.name.clone(), arm.kind.to_owned()]);
     Page::new(
         "Learning on the board of every arm",
         "Simulated arms with elastic gears, sticking friction, sensor errors and late reports under PD control. The \
@@ -282,7 +299,7 @@ fn page(report: &LearningReport) -> Page {
             "Error of the set in force over that of the start; joints below 2 % of their limit count as 2 %.",
         )
         .plots(panels, 4),
-        Section::new("Arms", "Descriptions in host-sim/robots.").table("arm | kind", kinds),
+        Section::new("Arms", "Descriptions in host-sim/robots, or of --robot.").table("arm | kind", kinds),
         Section::new("All figures", "The unit is the end of the name.")
             .table("arm | scenario | seed | figure | value", figures),
     ])

@@ -10,22 +10,23 @@ use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// One arm: name, description, and the kind of arm it stands for.
+/// One arm: its description, and the kind of arm it stands for.
 #[derive(Debug)]
 pub(super) struct WorldArm {
-    pub(super) name: &'static str,
-    text: &'static str,
+    pub(super) described: Robot,
     pub(super) kind: &'static str,
+    /// The rotors of the description are guesses, which a board has too.
+    pub(super) guessed_rotors: bool,
 }
 
 macro_rules! arms {
     ($($name:literal, $file:literal, $kind:literal;)*) => {
-        &[$(WorldArm { name: $name, text: include_str!(concat!("../../../robots/", $file)), kind: $kind }),*]
+        &[$(($name, include_str!(concat!("../../../robots/", $file)), $kind)),*]
     };
 }
 
-/// All arms. Masses of the true arm differ from the description by up to 20 %.
-pub(super) const ARMS: &[WorldArm] = arms! {
+/// Name, description and kind of the arms that are built in.
+pub(super) const ARMS: &[(&str, &str, &str)] = arms! {
     "ur5", "ur5.toml", "industrial, 6 joints, data sheet";
     "panda", "panda.urdf", "7 joints, URDF without rotors and friction";
     "iiwa", "iiwa.toml", "7 joints, LWR class, no rotors and friction";
@@ -44,9 +45,19 @@ const COULOMB_SHARE: f64 = 0.04;
 const VISCOUS_SHARE: f64 = 0.06;
 
 impl WorldArm {
-    /// The arm as described.
-    pub(super) fn described(&self) -> Result<Robot, StudyError> {
-        Ok(Robot::parse(self.name, self.text)?)
+    /// All that are built in.
+    pub(super) fn all() -> Result<Vec<Self>, StudyError> {
+        let arms = ARMS.iter().map(|(name, text, kind)| {
+            Ok(Self {
+                described: Robot {
+                    name: (*name).to_owned(),
+                    ..Robot::parse(name, text)?
+                },
+                kind,
+                guessed_rotors: *name == "ur10e",
+            })
+        });
+        arms.collect()
     }
 
     /// The description without friction, and without rotors where `described` gives them for certain: what a URDF has.
@@ -61,7 +72,7 @@ impl WorldArm {
         bare
     }
 
-    /// The arm as it is.
+    /// The arm as it is; its masses differ from the description by up to 20 %.
     pub(super) fn truth(described: &Robot, seed: u64) -> Robot {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(7);
@@ -423,14 +434,20 @@ mod tests {
 
     #[test]
     fn every_arm_carries_its_rated_payload_with_a_third_of_its_torque() {
-        for arm in ARMS {
-            let robot = arm.described().expect("described");
+        for WorldArm {
+            described: robot, ..
+        } in WorldArm::all().expect("described")
+        {
             let share = foretorque_workbench::arms!(robot, N, P => {
                 Described::<N, P>::read(&robot).expect("as many joints");
                 heaviest::<N>(&robot, rated_payload::<Described<N, P>, N, P>().into())
-            }, else panic!("{}: no such arm", arm.name));
+            }, else panic!("{}: no such arm", robot.name));
             // Random poses are not stretched out; with less than half of it the rating would be too low.
-            assert!((1.0 / 6.0..=0.34).contains(&share), "{}: {share}", arm.name);
+            assert!(
+                (1.0 / 6.0..=0.34).contains(&share),
+                "{}: {share}",
+                robot.name
+            );
         }
     }
 }

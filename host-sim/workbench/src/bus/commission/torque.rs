@@ -128,7 +128,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         &mut self,
         joint: usize,
         push_nm: f64,
-    ) -> Result<(Option<(f64, f64)>, Option<usize>), BusError> {
+    ) -> Result<(Option<Ratio>, Option<usize>), BusError> {
         self.switch_off()?;
         if let (_, Some(other)) = self.run(joint, f64::NAN, REST_S)? {
             return Ok((None, Some(other)));
@@ -156,7 +156,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     ///
     /// Nothing is differentiated. Δq has all joints: those that swing or give way count. An error of the described
     /// gravity, constant over so small a travel, goes into c. Velocity products are left out.
-    fn ratio(&self, joint: usize, path: &[Sample<N>], switch: usize) -> Option<(f64, f64)> {
+    fn ratio(&self, joint: usize, path: &[Sample<N>], switch: usize) -> Option<Ratio> {
         path.get(switch)?;
         let way = speed(path, switch, joint).signum();
         let moves = |k: &usize| way * speed(path, *k, joint) > MOTION_RAD_S;
@@ -400,6 +400,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         Ok(())
     }
 }
+
+/// Torque that arrives over the commanded one, and its standard deviation.
+type Ratio = (f64, f64);
 
 /// Position of the arm, rad, with the time, s, and the torque that the joint is sent from there on, N·m.
 struct Sample<const N: usize> {
