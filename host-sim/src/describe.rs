@@ -34,11 +34,11 @@ enum Format {
 impl Describe {
     pub(super) fn run(&self) -> Result<(), Failure> {
         let import = self.arm.import(&self.robot)?;
-        let (robot, assumed) = import.robot.with_assumed_rotors();
-        let mut notes = import.notes;
-        if !assumed.is_empty() {
+        let (robot, mut notes) = (import.robot, import.notes);
+        let (_, unknown) = robot.with_assumed_rotors();
+        if !unknown.is_empty() {
             notes.push(format!(
-                "assumed: rotor inertia of joints {assumed:?}, torque limit / 200 rad/s²"
+                "rotor inertia of joints {unknown:?} not known: 0 in the firmware, torque limit / 200 rad/s² in a simulated arm"
             ));
         }
         let toml = |text: String| {

@@ -100,10 +100,10 @@ enum Filter {
 }
 
 /// The period to fold training logs on, if that is wanted.
-fn fold_period_s(arguments: &Arguments) -> Result<Option<f64>, Failure> {
+fn fold_period_s(arguments: &Arguments, robot: &Robot) -> Result<Option<f64>, Failure> {
     let mut period_s = arguments.period_s;
     if let Some(path) = &arguments.excitation {
-        period_s = Some(excite::series(path)?.period_s);
+        period_s = Some(excite::read(path, robot)?.period_s);
     }
     match (arguments.filter, period_s) {
         (Filter::Butterworth, Some(_)) => Err(unusable(
@@ -145,7 +145,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
             None => described,
         });
     }
-    let fold_period_s = fold_period_s(arguments)?;
+    let fold_period_s = fold_period_s(arguments, robot)?;
     let logs = [&arguments.logs, &arguments.validate, &arguments.test];
     let logs: Vec<&Path> = logs.into_iter().flatten().map(PathBuf::as_path).collect();
     let rows = PrepareConfig::for_logs(&logs, robot)?;

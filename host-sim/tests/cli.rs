@@ -204,3 +204,26 @@ fn the_excitation_campaign_is_the_same_from_its_record() {
     refused(&here, study, "start in the root of foretorque's sources");
     assert!(!here.join("x").exists());
 }
+
+#[test]
+fn a_description_of_a_description_is_the_same_arm() {
+    let here = directory("described_twice");
+    // A URDF without rotors: what a simulation assumes is not the firmware's.
+    let panda = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/panda.urdf");
+    let described = succeeds(&here, &format!("describe {panda} --name arm_7"));
+    write(here.join("arm_7.toml"), described);
+    fs::create_dir(here.join("other")).expect("new");
+    succeeds(
+        &here,
+        &format!("generate --robot {panda} --name arm_7 --out arm_7.rs"),
+    );
+    succeeds(&here, "generate --robot arm_7.toml --out other/arm_7.rs");
+    let [one, other] = ["arm_7.rs", "other/arm_7.rs"].map(|file| text(here.join(file)));
+    let constants = |text: &str| {
+        text.split_once("pub const")
+            .expect("constants")
+            .1
+            .to_owned()
+    };
+    assert_eq!(constants(&one), constants(&other));
+}

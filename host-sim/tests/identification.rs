@@ -346,7 +346,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let cases: [(Change, &str); 14] = [
         (
             scale(Q..Q + 18, 57.295_779_513),
-            "are these degrees (--units q=deg)?",
+            "are these degrees (--units q=deg), or are the limits too low",
         ),
         (
             scale(0..1, 1e3),

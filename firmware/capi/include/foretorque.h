@@ -37,6 +37,8 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_ARMED = 8,
   // The brakes take longer to close than 1 s.
   FORETORQUE_STATUS_BRAKE = 9,
+  // The arm has no such joint; the first is 0.
+  FORETORQUE_STATUS_JOINT = 10,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L

@@ -87,6 +87,9 @@ pub unsafe extern "C" fn foretorque_temperature(
     joint: u32,
     celsius: i8,
 ) -> ForetorqueStatus {
+    if joint as usize >= JOINTS {
+        return ForetorqueStatus::Joint;
+    }
     // SAFETY: as the caller promises.
     unsafe { act(it, |it| it.safety.note_temperature(joint as usize, celsius)) }
 }

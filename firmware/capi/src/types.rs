@@ -28,6 +28,8 @@ pub enum ForetorqueStatus {
     Armed = 8,
     /// The brakes take longer to close than 1 s.
     Brake = 9,
+    /// The arm has no such joint; the first is 0.
+    Joint = 10,
 }
 
 /// Input of one tick.

@@ -148,7 +148,7 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
     let mut program = Program::armed();
     // SAFETY: `it` lives in all these calls.
     unsafe {
-        use ForetorqueStatus::{Armed, Null, Ok};
+        use ForetorqueStatus::{Armed, Joint, Null, Ok};
         assert_eq!(foretorque_set_brake(program.it, 100_000), Armed);
         foretorque_stop(program.it, 0);
         let safety = program.safety();
@@ -170,7 +170,9 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
             held += u32::from(program.tick(None, 0).total_nm[1].abs() > 30.0);
         }
         assert!((98..=106).contains(&held), "{held}");
-        foretorque_temperature(program.it, 2, 101);
+        let beyond = FORETORQUE_JOINTS as u32;
+        assert_eq!(foretorque_temperature(program.it, beyond, 101), Joint);
+        assert_eq!(foretorque_temperature(program.it, 2, 101), Ok);
         (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
         assert_eq!(program.arm(), SafetyReason::MotorHot);
         assert_eq!(foretorque_disarm(ptr::null_mut()), Null);

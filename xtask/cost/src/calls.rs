@@ -13,7 +13,9 @@ use crate::thumb::{Class, Flow, Stack};
 const INDIRECT_CALL: &str = "calls through a pointer";
 const INDIRECT_JUMP: &str = "jumps through a pointer";
 const UNKNOWN_STACK: &str = "moves the stack by an amount the code does not fix";
-const TWO_DEPTHS: &str = "reaches one place with two depths of stack";
+const MANY_DEPTHS: &str = "reaches one place with ever more stack";
+/// Most depths with which one place is followed: the end of a call that does not return meets the code behind it.
+const DEPTHS: usize = 8;
 const NO_CODE: &str = "leads to no code";
 const RECURSION: &str = "calls itself, directly or through others";
 
@@ -157,19 +159,19 @@ impl<'a> Walk<'a> {
         };
         // Places still to visit: address, depth of the stack, conditional instructions left.
         let mut open = vec![(entry, 0u32, 0u32)];
-        let mut seen: BTreeMap<u32, u32> = BTreeMap::new();
+        let mut seen: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
         while let Some((address, depth, conditional)) = open.pop() {
             if !code.contains(&address) {
                 // A tail call, or the end behind a call that does not return.
                 continue;
             }
-            match seen.insert(address, depth) {
-                None => {}
-                Some(before) if before == depth => continue,
-                Some(_) => {
-                    self.unknown(entry, address, TWO_DEPTHS);
-                    continue;
-                }
+            let depths = seen.entry(address).or_default();
+            if !depths.insert(depth) {
+                continue;
+            }
+            if depths.len() > DEPTHS {
+                self.unknown(entry, address, MANY_DEPTHS);
+                continue;
             }
             let Some(instruction) = self.image.instruction(address) else {
                 self.unknown(entry, address, NO_CODE);

@@ -113,9 +113,18 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     assume_torques(&mut joints, &mut notes);
     note_drives(&joints, &mut notes);
     lower_speeds(&mut joints, &mut notes);
+    let root = tree.root_in(base);
+    let gravity = root.rot_parent_child * document.gravity;
+    if gravity != document.gravity {
+        let [x, y, z] = gravity.into();
+        notes.push(format!(
+            "link '{}' is tilted against the root: gravity is ({x:.3}, {y:.3}, {z:.3}) m/s² in its frame",
+            document.links[base].name
+        ));
+    }
     let robot = Robot {
         name: plain_name(&document.name),
-        gravity: document.gravity,
+        gravity,
         joints,
         flange: link_frame.snapped(),
         link_names: Some((document.links[base].name.clone(), tip_name.clone())),

@@ -154,6 +154,32 @@ fn a_tip_cuts_off_its_children_with_a_note() {
 }
 
 #[test]
+fn gravity_is_that_of_the_root_whatever_link_the_arm_stands_on() {
+    let whole = parse("t", ARM, &TO_HAND).unwrap();
+    assert_eq!(whole.robot.gravity.as_slice(), [0.0, 0.0, -9.81]);
+    // The base hangs on the world by a wall.
+    let (upright, tilted) = (r#"xyz="0 0 1""#, r#"xyz="0 0 1" rpy="0 0.5 0""#);
+    assert!(ARM.contains(upright));
+    let import = parse(
+        "t",
+        &ARM.replacen(upright, tilted, 1),
+        &between(Some("base"), Some("hand")),
+    );
+    let import = import.unwrap();
+    let expected = Vector3::new(0.5_f64.sin(), 0.0, -0.5_f64.cos()) * 9.81;
+    assert!(
+        (import.robot.gravity - expected).norm() < 1e-9,
+        "{}",
+        import.robot.gravity
+    );
+    assert!(
+        import.has("link 'base' is tilted against the root: gravity is (4.703, 0.000, -8.609) m/s² in its frame"),
+        "{:?}",
+        import.notes
+    );
+}
+
+#[test]
 fn assumptions_are_listed_in_the_notes() {
     let import = parse("t", ARM, &TO_HAND).unwrap();
     let elbow = &import.robot.joints[1];

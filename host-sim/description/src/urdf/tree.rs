@@ -134,6 +134,16 @@ impl<'a> Tree<'a> {
         }
     }
 
+    /// Frame of the root in that of a link, with every joint between them at zero.
+    pub(super) fn root_in(&self, link: usize) -> Placement {
+        let carriers = std::iter::successors(self.carrier[link], |&joint| {
+            self.carrier[self.parent[joint]]
+        });
+        let origins = carriers.map(|joint| self.document.joints[joint].origin);
+        let link_in_root = origins.fold(Placement::identity(), |link, origin| origin.then(&link));
+        link_in_root.snapped().inverse()
+    }
+
     /// Joints from base to tip.
     pub(super) fn path_to(&self, base: usize, tip: usize) -> Result<Vec<usize>, String> {
         let mut path = Vec::new();

@@ -149,6 +149,17 @@ pub fn identify(
     };
     let headline_rmse_nm = errors(&best.name.to_string());
     let [headline_description_rmse_nm, size] = RIVALS.map(errors);
+    let pairs = headline_rmse_nm.iter().zip(&headline_description_rmse_nm);
+    let lost = pairs.enumerate().filter_map(|(joint, (own, described))| {
+        ((*own)? > 1.05 * (*described)?).then(|| (joint + 1).to_string())
+    });
+    let lost: Vec<String> = lost.collect();
+    if !lost.is_empty() {
+        judgement.find(false, format!(
+            "joint {}: the identified parameters predict worse than the description: has a position or the time another scale?",
+            lost.join(", ")
+        ));
+    }
     for (rival, limit) in RIVALS.iter().zip([1.05, 1.0]) {
         let worse = over(&headline_rmse_nm, &errors(rival), &size);
         if worse > limit {

@@ -1,13 +1,13 @@
 //! Torques of a log against those of the description: signs, sizes, order of the joints, noise.
 
 use super::{
-    DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE,
-    SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
+    CENTRE_M, DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE,
+    SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
 };
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix5, Vector5};
 
 /// Most rows on which other orders of the joints are tried.
 const SWAP_ROWS: usize = 300;
@@ -20,12 +20,53 @@ struct Explained {
     /// Torque over that of the description's links.
     scale: f64,
     deviation: f64,
-    /// Power that friction takes up, in units of the RMS torque times the RMS speed, and its standard deviation.
-    drag: (f64, f64),
-    /// Inertia beside that of the description's links, kg·m², and its standard deviation.
-    rotor: (f64, f64),
+    /// Inertia beside that of the description's links, kg·m².
+    rotor: f64,
     /// Gravity is large enough to decide.
     heavy: bool,
+    /// Matrix and right side of the normal equations, and square of the torque.
+    normal: (Matrix5<f64>, Vector5<f64>, f64),
+}
+
+/// Fall of the logarithm of the unexplained share that proves a torque of the wrong sign.
+const SIGN_EVIDENCE: f64 = 1.0;
+/// Rounds of the fit within bounds.
+const ROUNDS: usize = 300;
+
+impl Explained {
+    /// Square of what a torque of this sign leaves: friction and rotors of an arm are not negative.
+    ///
+    /// * `scales` range of the torque over that of the description's links
+    fn left(&self, sign: f64, scales: (f64, f64)) -> f64 {
+        let (gram, moment, square) = &self.normal;
+        let moment = moment * sign;
+        let least = [scales.0, 0.0, 0.0, 0.0, f64::NEG_INFINITY];
+        let mut beta = Vector5::zeros();
+        for k in (0..ROUNDS).flat_map(|_| 0..least.len()) {
+            let own = (moment[k] - (gram.row(k) * beta)[0]) / gram[(k, k)] + beta[k];
+            let most = if k == 0 { scales.1 } else { f64::INFINITY };
+            beta[k] = own.clamp(least[k], most);
+        }
+        let left = square - 2.0 * moment.dot(&beta) + beta.dot(&(gram * beta));
+        // What rounding leaves of an exact torque is no evidence.
+        left.max(1e-9 * square)
+    }
+
+    /// The torque is explained by its opposite alone.
+    ///
+    /// * `certain` gravity is beyond what an error of the described centres of mass makes; else it may have either sign
+    fn is_turned(&self, certain: bool) -> bool {
+        let evidence = |scales: (f64, f64)| {
+            let [kept, turned] = [1.0, -1.0].map(|sign| self.left(sign, scales));
+            (kept / turned).ln()
+        };
+        // Where gravity may have either sign, what friction and rotor say counts as much.
+        let free = match certain {
+            true => 0.0,
+            false => evidence((f64::NEG_INFINITY, f64::INFINITY)),
+        };
+        evidence(SOUND_SCALE) + free > SIGN_EVIDENCE
+    }
 }
 
 /// Torque of the links of the description and gravity at every row.
@@ -61,42 +102,34 @@ fn explain(
     let y = DVector::from_fn(count, |row, _| tau(row));
     let mean = y.mean();
     let variance = y.iter().map(|tau| (tau - mean).powi(2)).sum::<f64>();
-    let mut gram = x.tr_mul(&x);
-    let moment = x.tr_mul(&y);
+    let mut gram: Matrix5<f64> = x.tr_mul(&x).fixed_view::<5, 5>(0, 0).into();
+    let moment: Vector5<f64> = x.tr_mul(&y).fixed_rows::<5>(0).into();
     // A joint without link torque, or one that stands still, has a column of zeros.
     for k in 0..COLUMNS {
         gram[(k, k)] += 1e-9 * gram[(k, k)] + 1e-12;
     }
+    let normal = (gram, moment, y.norm_squared());
     let Some(inverse) = gram.try_inverse() else {
         return Explained {
             rest: 1.0,
             scale: 1.0,
             deviation: f64::INFINITY,
-            drag: (0.0, f64::INFINITY),
-            rotor: (0.0, f64::INFINITY),
+            rotor: 0.0,
             heavy: false,
+            normal,
         };
     };
-    let beta = &inverse * moment;
-    let rest = (&y - &x * &beta).norm_squared();
+    let beta = inverse * moment;
+    let rest = (&y - &x * beta).norm_squared();
     let noise = rest / (count.max(COLUMNS + 1) - COLUMNS) as f64;
     let gravity = links.iter().map(|link| link[1][joint].powi(2)).sum::<f64>();
-    // Mean power of the columns of friction, for a parameter of one each.
-    let mut power = DVector::zeros(COLUMNS);
-    for (row, state) in states.iter().enumerate() {
-        power[1] += x[(row, 1)] * state.qd[joint];
-        power[2] += x[(row, 2)] * state.qd[joint];
-    }
-    let rates: f64 = states.iter().map(|state| state.qd[joint].powi(2)).sum();
-    let size = f64::max((y.norm_squared() * rates).sqrt(), 1e-12);
-    let spread = (noise * power.dot(&(&inverse * &power))).sqrt();
     Explained {
         // A torque that never changes follows nothing.
         rest: if variance > 0.0 { rest / variance } else { 1.0 },
         scale: beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),
-        drag: (power.dot(&beta) / size, spread / size),
-        rotor: (beta[3], (noise * inverse[(3, 3)]).sqrt()),
+        rotor: beta[3],
+        normal,
         heavy: (gravity / count.max(1) as f64).sqrt() > GRAVITY_SHARE * limit,
     }
 }
@@ -158,29 +191,27 @@ pub(super) fn compare(
             continue;
         }
         let share = 100.0 * own[*joint].rest;
+        let seen = &extremes[*joint];
+        let is = match seen.noise() > 0.5 * seen.rms() {
+            true => "its torque is noise, ",
+            false => "",
+        };
         judgement.find(
             false,
-            format!("joint {}: its torque is noise, {share:.0} % of its variance does not follow the motion", joint + 1),
+            format!("joint {}: {is}{share:.0} % of the variance of its torque does not follow the motion", joint + 1),
         );
     }
     let sound = |joint: usize| own[joint].rest <= NOISE_SHARE;
+    let certain = |joint: usize| {
+        let mass: f64 = robot.joints[joint..].iter().map(|it| it.link.mass).sum();
+        let squares = of_links.iter().map(|links| links[1][joint].powi(2));
+        let gravity = (squares.sum::<f64>() / of_links.len() as f64).sqrt();
+        gravity > mass * robot.gravity.norm() * CENTRE_M
+    };
     // Stiction alone carries a light joint at rest.
     let turned: Vec<usize> = (0..joints)
         .filter(|&joint| sound(joint) && (own[joint].heavy || extremes[joint].moved()))
-        .filter(|&joint| {
-            let own = &own[joint];
-            let clear = |(value, deviation): (f64, f64)| value.abs() > DEVIATIONS * deviation;
-            let against = |found: (f64, f64)| found.0 > 0.0 && clear(found);
-            // Friction takes power and rotors are inertia. Gravity of a body near the axis may have either sign.
-            if against(own.drag) || against(own.rotor) {
-                return false;
-            }
-            let links = (own.scale, own.deviation);
-            match own.heavy || clear(links) {
-                true => own.scale < -0.3 && clear(links),
-                false => own.drag.0 < -0.25 && clear(own.drag),
-            }
-        })
+        .filter(|&joint| own[joint].is_turned(certain(joint)))
         .collect();
     // Where the torques oppose those of the links even without the joint with most of them, all are turned.
     let shares = (0..joints).filter(|&joint| sound(joint)).map(|joint| {
@@ -218,7 +249,7 @@ pub(super) fn compare(
         }
         // Where the description has no rotor, its inertia is unknown.
         let rotor = match robot.joints[joint].drive.rotor_inertia {
-            0.0 => own[joint].rotor.0.max(0.0),
+            0.0 => own[joint].rotor.max(0.0),
             rotor => rotor,
         };
         let described = states.iter().zip(&of_links).map(|(state, links)| {
@@ -268,7 +299,7 @@ pub(super) fn compare(
             judgement.find(
                 true,
                 format!(
-                    "gravity does not fit description '{}' (times its torque: {}): another arm, another base, or a heavy payload?",
+                    "gravity does not fit description '{}' (times its torque: {}): another arm, another base (its gravity_m_s2), or a heavy payload?",
                     robot.name,
                     scales.join("; ")
                 ),
@@ -358,8 +389,8 @@ mod tests {
             .iter_mut()
             .for_each(|j| j.friction.coulomb = 0.0);
         let model = RigidBodies::new(&robot);
-        // Joint 2 swings, and the torque of joint 6 is the opposite of what its link needs.
-        let judged = |swing_6: f64| {
+        // Joint 2 swings, and the torque of joint 6 is the opposite of what its link needs; with a rotor that of joint 2, too.
+        let judged = |swing_6: f64, rotor: f64| {
             let mut judgement = Judgement::default();
             let mut seen = vec![Extremes::none(); model.joints()];
             let rows = (0..600).map(|row| {
@@ -374,7 +405,11 @@ mod tests {
                     qdd: of(&|j| -swing[j] * w * w * wave(j, w).0),
                 };
                 let needed = model.inverse_dynamics(&state);
-                let tau = of(&|j| if j == 5 { -needed[j] } else { needed[j] });
+                let tau = of(&|j| match j {
+                    1 if rotor > 0.0 => rotor * state.qdd[j] - needed[j],
+                    5 => -needed[j],
+                    _ => needed[j],
+                });
                 for (joint, seen) in seen.iter_mut().enumerate() {
                     let (low, high) = seen.position;
                     seen.position = (low.min(state.q[joint]), high.max(state.q[joint]));
@@ -386,9 +421,15 @@ mod tests {
             compare(&mut judgement, &robot, &rows, &seen, 1.0);
             judgement.findings
         };
-        assert_eq!(judged(0.0), []);
-        let found = judged(0.8);
-        let wrong = "torque of joint 6 has the wrong sign";
-        assert!(found.iter().any(|it| it.text.contains(wrong)), "{found:?}");
+        assert_eq!(judged(0.0, 0.0), []);
+        // A small rotor beside a torque of the wrong sign is no proof of the right one.
+        for (swing, rotor) in [(0.8, 0.0), (0.8, 0.2)] {
+            let found = judged(swing, rotor);
+            let wrong = match rotor {
+                0.0 => "torque of joint 6 has the wrong sign",
+                _ => "torque of joint 2, 6 has the wrong sign",
+            };
+            assert!(found.iter().any(|it| it.text.contains(wrong)), "{found:?}");
+        }
     }
 }

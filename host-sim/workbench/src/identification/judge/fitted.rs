@@ -1,6 +1,6 @@
 //! Findings on what was fitted: an unknown payload, and parameters that no arm has.
 
-use super::{ANALYTIC, DEVIATIONS, Finding, Judgement};
+use super::{ANALYTIC, CENTRE_M, DEVIATIONS, Finding, Judgement};
 use crate::identification::columns::Layout;
 use crate::identification::methods::Fit;
 use crate::identification::record::Report;
@@ -79,7 +79,6 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
 /// inertias and rotors are uncertain.
 fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<(f64, f64)> {
     const MASS: f64 = 0.25;
-    const CENTRE_M: f64 = 0.03;
     const LEAST_KG: f64 = 0.3;
     let base = layout.base;
     let nominal = DVector::from_vec(robot.base_parameters());

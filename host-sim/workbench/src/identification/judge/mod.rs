@@ -40,6 +40,8 @@ const MOVED: (f64, f64) = (0.2, 0.2);
 const FAST_RAD_S: f64 = 0.2;
 /// Range of a sound torque over that of the description.
 const SOUND_SCALE: (f64, f64) = (0.4, 2.4);
+/// Error of the centre of mass of a body of the description, m.
+const CENTRE_M: f64 = 0.03;
 /// A torque with more than this share of its variance unexplained is noise.
 const NOISE_SHARE: f64 = 0.9;
 /// Fall of the sum of the logarithms of unexplained shares that proves another order of the joints.
@@ -283,7 +285,7 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         } else {
             let (most, (low, high)) = (most(seen.position), joint.limits.position);
             format!(
-                "q{} reaches {most:.4} rad at {:.4} rad/s, its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg)?",
+                "q{} reaches {most:.4} rad at {:.4} rad/s, its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg), or are the limits too low (--velocity-limits; range of the description)?",
                 number + 1,
                 seen.speed,
                 joint.limits.velocity
