@@ -8,7 +8,7 @@ use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
 use foretorque::joint::JointVector;
-use foretorque_link::excitation::{ExcitationCommand, ExcitationState};
+use foretorque_link::excitation::{ExcitationCommand, ExcitationState, PlayLimits};
 use foretorque_link::store::StoreHealth;
 use foretorque_link::wire::{Configuration, Effort, Field};
 use foretorque_workbench::board::{BoardError, Client};
@@ -134,6 +134,12 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         board.upload_bank(bank)?;
     }
     if arguments.excite_on_board {
+        let (asked, most) = (arguments.tracking_rad, PlayLimits::<N>::TRACKING_RAD);
+        if !(asked > 0.0 && asked <= most) {
+            return Err(unusable(format!(
+                "--tracking-rad {asked}: a board plays an excitation within {most} rad at most"
+            )));
+        }
         load_excitation::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
     let mut log = Log {

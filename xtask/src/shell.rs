@@ -17,8 +17,11 @@ pub(crate) fn root() -> PathBuf {
 /// A command that runs in the workspace's root.
 pub(crate) fn command(program: &str) -> Command {
     let mut command = Command::new(program);
-    // `cargo run` exports the cargo it is; a toolchain of another name must find its own.
-    command.current_dir(root()).env_remove("CARGO");
+    // `cargo run` exports the cargo it is; a toolchain of another name must find its own. What is built is looked for in the
+    // workspace.
+    let foreign = ["CARGO", "CARGO_TARGET_DIR", "CARGO_BUILD_TARGET_DIR"];
+    foreign.iter().for_each(|name| _ = command.env_remove(name));
+    command.current_dir(root());
     command.stdin(Stdio::null());
     command
 }

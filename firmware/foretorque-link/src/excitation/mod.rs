@@ -150,8 +150,8 @@ pub struct PlayLimits<const N: usize> {
 impl<const N: usize> PlayLimits<N> {
     /// Largest acceleration of any joint, rad/s².
     const ACCELERATION_RAD_S2: f32 = 20.0;
-    /// Half the clearance of a hand between arm and fixture, rad.
-    const TRACKING_RAD: f32 = 0.1;
+    /// Largest tracking error of a program: half the clearance of a hand between arm and fixture, rad.
+    pub const TRACKING_RAD: f32 = 0.1;
     /// Time for which the tick holds its torque without samples, s.
     const BLIND_S: f32 = 0.01;
 

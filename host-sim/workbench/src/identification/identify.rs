@@ -150,9 +150,10 @@ pub fn identify(
     let headline_rmse_nm = errors(&best.name.to_string());
     let [headline_description_rmse_nm, size] = RIVALS.map(errors);
     let pairs = headline_rmse_nm.iter().zip(&headline_description_rmse_nm);
-    let lost = pairs.enumerate().filter_map(|(joint, (own, described))| {
-        ((*own)? > 1.05 * (*described)?).then(|| (joint + 1).to_string())
-    });
+    let worse = |(own, described): (f64, f64)| own > 1.05 * described;
+    let lost = pairs.enumerate();
+    let lost = lost.filter(|(_, (own, described))| own.zip(**described).is_some_and(worse));
+    let lost = lost.map(|(joint, _)| (joint + 1).to_string());
     let lost: Vec<String> = lost.collect();
     if !lost.is_empty() {
         judgement.find(false, format!(

@@ -25,6 +25,10 @@ pub fn plan<const N: usize>(
     let path = parse(text)?;
     let inverse = Inverse::<N>::new(robot, &path.tool)
         .ok_or_else(|| Refusal(format!("the robot has not {N} joints")))?;
+    if N < 6 {
+        let problem = format!("{N} joints cannot give the tool every pose, it takes six");
+        return Err(Refusal::of("a path of the tool", problem));
+    }
     let near = near(robot, &path)?;
     let refused = |waypoint: String, pose: &Placement, reason: Refusal| {
         let [x, y, z] = pose.origin.into();
@@ -188,6 +192,16 @@ mod tests {
         let (start, half) = (curve.at(0.0).pose, curve.at(1.5).pose);
         let turned = half.rot_parent_child * start.rot_parent_child.transpose();
         assert!((turned.m11 + 1.0).abs() < 1e-12 && (turned.m33 - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_arm_of_fewer_than_six_joints_is_refused() {
+        let mut robot = ur5();
+        robot.joints.truncate(5);
+        let path = PATH.replacen(", 0.0]", "]", 1);
+        let text = plan::<5>(&robot, &path, PERIOD_S).expect_err("too few");
+        let line = "a path of the tool: 5 joints cannot give the tool every pose, it takes six";
+        assert_eq!(text.to_string(), line);
     }
 
     #[test]
