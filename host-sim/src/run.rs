@@ -3,7 +3,7 @@ use super::boards::{BoardChoice, on_arm};
 use super::motion_log::MotionLog;
 use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
 use super::terminal::{self, Bar, show};
-use super::{Failure, bank, unusable};
+use super::{Failure, bank, fitting, unusable};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
@@ -56,7 +56,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     excite_on_board: bool,
     /// Tracking error of any joint at which the board breaks its excitation off, rad
-    #[arg(long, default_value_t = 0.05, requires = "excite_on_board")]
+    #[arg(long, default_value_t = 0.05, requires = "excite_on_board", value_parser = tracking)]
     tracking_rad: f32,
     /// Learn while it runs
     #[arg(long)]
@@ -73,6 +73,14 @@ pub(super) struct Arguments {
 
 fn brake_range() -> clap::builder::RangedI64ValueParser<u16> {
     clap::value_parser!(u16).range(..=i64::from(Configuration::MAX_BRAKE_CLOSE_MS))
+}
+
+/// A tracking error that boards take, rad.
+fn tracking(text: &str) -> Result<f32, String> {
+    const MOST_RAD: f32 = PlayLimits::<1>::TRACKING_RAD;
+    let wrong = format!("must be above 0 and at most {MOST_RAD} rad");
+    let fits = |value| value > 0.0 && value <= f64::from(MOST_RAD);
+    fitting(text, fits, &wrong).map(|value| value as f32)
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
@@ -134,12 +142,6 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         board.upload_bank(bank)?;
     }
     if arguments.excite_on_board {
-        let (asked, most) = (arguments.tracking_rad, PlayLimits::<N>::TRACKING_RAD);
-        if !(asked > 0.0 && asked <= most) {
-            return Err(unusable(format!(
-                "--tracking-rad {asked}: a board plays an excitation within {most} rad at most"
-            )));
-        }
         load_excitation::<A, N, P>(&mut board, &mut scene, robot, arguments.tracking_rad)?;
     }
     let mut log = Log {

@@ -38,8 +38,8 @@ pub(super) struct Arguments {
     /// Seed of the validation path
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Table to write: tau1_nm…; with a bank also rigid1_nm…, friction1_nm…, network1_nm…; for coupled joints with the
-    /// described friction, in rigid1_nm… and friction1_nm…, too
+    /// Table to write: tau1_nm…; with a bank also rigid1_nm…, friction1_nm…, network1_nm…; of coupled joints, whose
+    /// torques have the described friction, also rigid1_nm…, friction1_nm…
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Parameter bank to load; without it the rigid-body torque of the description's parameters
@@ -146,16 +146,11 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         let state = state?;
         let torque = board.evaluate(&motion_f32(&state.motion))?;
         let shares = torque.shares;
-        if !shares
-            .rigid
-            .iter()
-            .chain(&torque.total)
-            .all(|tau| tau.is_finite())
-        {
-            let (from, row) = (arguments.input.as_deref().or(trajectory), rows + 1);
-            let from = from.unwrap_or(Path::new("")).display();
+        let mut torques = shares.rigid.iter().chain(&torque.total);
+        if !torques.all(|tau| tau.is_finite()) {
+            let row = rows + 1;
             return Err(unusable(format!(
-                "{from}: row {row}: the torque is not a number: are these rad, rad/s and rad/s²?"
+                "state {row}: its torque is not a number: are these rad, rad/s and rad/s²?"
             )));
         }
         let shares = match bank {

@@ -133,15 +133,46 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
 fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
     let here = directory("identify-wrong");
     log(&here.join("good.csv"), 2000, 0.0, None, 0.1);
+    let series = include_str!("../paths/ur5-excitation.json");
+    let other = series.replacen("\"ur5\"", "\"other\"", 1);
+    write(here.join("other.json"), other);
     for (wrong, expected) in [
         ("--gains standstill", "no motor currents"),
         ("--still-rad-s 50", "no joint moves"),
         ("--filter fourier --period-s 5", "do not repeat every 5 s"),
         ("--truth panda", "an arm with other parameters"),
+        (
+            "--filter fourier --excitation other.json",
+            "excitation is for robot 'other', not 'ur5'",
+        ),
     ] {
         let identify = format!("identify --robot ur5 --log good.csv --out out {wrong}");
         refused(&here, &identify, expected);
     }
+}
+
+#[test]
+fn joints_that_are_predicted_worse_than_by_the_description_are_named() {
+    let here = directory("identify-half");
+    for (name, seed) in [("a.csv", 1), ("b.csv", 2)] {
+        let path = "--trajectory validation --duration-s 8 --robot ur5";
+        succeeds(
+            &here,
+            &format!("simulate {path} --seed {seed} --out {name}"),
+        );
+        // Half of the motion of joint 3.
+        let half = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.5));
+        let log = planted(&text(here.join(name)), &half);
+        write(here.join(name), log);
+    }
+    let text = succeeds(
+        &here,
+        "identify --robot ur5 --log a.csv --validate b.csv --out out",
+    );
+    assert_contains(
+        &text,
+        "the identified parameters predict worse than the description",
+    );
 }
 
 #[test]

@@ -14,7 +14,8 @@ const INDIRECT_CALL: &str = "calls through a pointer";
 const INDIRECT_JUMP: &str = "jumps through a pointer";
 const UNKNOWN_STACK: &str = "moves the stack by an amount the code does not fix";
 const MANY_DEPTHS: &str = "reaches one place with ever more stack";
-/// Most depths with which one place is followed: the end of a call that does not return meets the code behind it.
+/// Most depths of stack at which one place is followed. The code behind a call that does not return is reached from it, too,
+/// at another depth than from elsewhere.
 const DEPTHS: usize = 8;
 const NO_CODE: &str = "leads to no code";
 const RECURSION: &str = "calls itself, directly or through others";
@@ -317,6 +318,16 @@ mod tests {
         // sub.w sp, sp, r0; bx lr
         let unfixed = [0xEBAD, 0x0D00, 0x4770];
         assert_eq!(depth_and_unknown(&unfixed).1, UNKNOWN_STACK);
+    }
+
+    #[test]
+    fn a_place_is_followed_at_every_depth_and_a_loop_that_pushes_has_none() {
+        // cbz r0, over the push; push {r7}; sub sp, #8; add sp, #8; bx lr
+        let caller = [0xB100, 0xB480, 0xB082, 0xB002, 0x4770];
+        assert_eq!(depth_and_unknown(&caller), (4 + 8, String::new()));
+        // push {r7}; b to the push
+        let caller = [0xB480, 0xE7FD];
+        assert_eq!(depth_and_unknown(&caller).1, MANY_DEPTHS);
     }
 
     #[test]

@@ -6,8 +6,7 @@
 //! moves beside the path, is left out unless it is welded, and listed in [`Import::notes`].
 //!
 //! A URDF has no drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
-//! 1 N·m/A. The base frame is that of the base link, gravity along −z of
-//! the root.
+//! not known. The base frame is that of the base link, gravity along −z of the root.
 
 mod chain;
 mod document;

@@ -157,7 +157,7 @@ pub fn identify(
     let lost: Vec<String> = lost.collect();
     if !lost.is_empty() {
         judgement.find(false, format!(
-            "joint {}: the identified parameters predict worse than the description: has a position or the time another scale?",
+            "joint {}: the identified parameters predict worse than the description: is the scale of a position or of the time wrong?",
             lost.join(", ")
         ));
     }

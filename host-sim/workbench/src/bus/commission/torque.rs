@@ -51,14 +51,14 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let limit = f64::from(A::limits()[joint].torque);
         let found = &mut self.found[joint];
         (found.breakaway_nm, found.torque_ratio) = (None, None);
-        let mut weak = None;
+        let mut gives_way = None;
         for (place, level) in LEVELS.into_iter().enumerate() {
             let push_nm = level * limit;
             let mut ratios: Vec<f64> = Vec::new();
             let mut worst: f64 = 0.0;
             for way in [1.0, -1.0] {
                 let (ratio, gives) = self.push(joint, way * push_nm)?;
-                weak = gives.or(weak);
+                gives_way = gives.or(gives_way);
                 let Some((ratio, deviation)) = ratio else {
                     continue;
                 };
@@ -89,13 +89,13 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let friction = self.friction_nm[joint];
         let moved = self.found[joint].breakaway_nm.is_some();
         // Friction that is described, and far below the push, holds no joint.
-        let held = moved || weak.is_some() || friction == 0.0 || friction > 0.5 * most;
-        check(joint, held, || {
+        let explained = moved || gives_way.is_some() || friction == 0.0 || friction > 0.5 * most;
+        check(joint, explained, || {
             format!(
                 "scale of torque: no motion at {most:.2} N·m, a tenth of its limit, against a friction of {friction:.2} N·m; is it too small, or is the joint blocked?"
             )
         })?;
-        let reason = match (weak, moved) {
+        let reason = match (gives_way, moved) {
             (Some(other), _) => format!(
                 "joint {} gives way; does the arm rest in rest_rad?",
                 other + 1
@@ -123,7 +123,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     }
 
     /// Pushes a joint from where brakes or friction hold the arm, and lets it coast: [`ratio`](Self::ratio) of the torque
-    /// that arrives, and the joint beside it that gave way.
+    /// that arrives, and a joint that gave way.
     fn push(
         &mut self,
         joint: usize,
@@ -324,6 +324,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let mut carries = [Carry::default(); N];
         let mut path: Vec<Sample<N>> = Vec::new();
         let mut state = None;
+        let held: [bool; N] =
+            std::array::from_fn(|other| other < joint && self.found[other].torque_ratio.is_some());
         for tick in 0..(longest_s / period_s) as usize {
             self.player.network.wait();
             let mut replied = false;
@@ -347,9 +349,6 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                     q: self.player.positions().cast(),
                 });
             }
-            let held: [bool; N] = std::array::from_fn(|other| {
-                other < joint && self.found[other].torque_ratio.is_some()
-            });
             let gives = |other: &usize| {
                 let speed = speed(&path, path.len(), *other);
                 let travel = path.last().map_or(0.0, |last| (last.q - path[0].q)[*other]);
@@ -374,7 +373,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                     if held[index] {
                         let most = MOST * f64::from(A::limits()[index].torque);
                         let (kp, kd) = (f64::from(entry.kp), f64::from(entry.kd));
-                        // What is seen of it is a few periods old.
+                        // The position that ends the run is a few periods old.
                         let travel = TRAVEL_RAD + 4.0 * period_s * GIVES_RAD_S;
                         let part = (most / (kp * travel + kd * GIVES_RAD_S)).min(0.1) as f32;
                         (command.kp, command.kd) = (part * entry.kp, part * entry.kd);

@@ -60,7 +60,7 @@ impl Explained {
             let [kept, turned] = [1.0, -1.0].map(|sign| self.left(sign, scales));
             (kept / turned).ln()
         };
-        // Where gravity may have either sign, what friction and rotor say counts as much.
+        // Where gravity may have either sign, the evidence of friction and rotor counts as much.
         let free = match certain {
             true => 0.0,
             false => evidence((f64::NEG_INFINITY, f64::INFINITY)),
@@ -192,13 +192,13 @@ pub(super) fn compare(
         }
         let share = 100.0 * own[*joint].rest;
         let seen = &extremes[*joint];
-        let is = match seen.noise() > 0.5 * seen.rms() {
-            true => "its torque is noise, ",
+        let noise = match seen.noise() > 0.5 * seen.rms() {
+            true => ": it is noise",
             false => "",
         };
         judgement.find(
             false,
-            format!("joint {}: {is}{share:.0} % of the variance of its torque does not follow the motion", joint + 1),
+            format!("joint {}: {share:.0} % of the variance of its torque does not follow the motion{noise}", joint + 1),
         );
     }
     let sound = |joint: usize| own[joint].rest <= NOISE_SHARE;
@@ -382,7 +382,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stiction_of_a_joint_at_rest_is_no_wrong_sign() {
+    fn stiction_at_rest_is_no_wrong_sign_and_a_small_rotor_no_right_one() {
         let mut robot = Robot::load("ur5").expect("built in");
         robot
             .joints
