@@ -154,15 +154,19 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
 #[test]
 fn joints_that_are_predicted_worse_than_by_the_description_are_named() {
     let here = directory("identify-half");
-    for (name, seed) in [("a.csv", 1), ("b.csv", 2)] {
-        let path = "--trajectory validation --duration-s 8 --robot ur5";
+    write(
+        here.join("series.json"),
+        include_str!("../paths/ur5-excitation.json"),
+    );
+    for (name, path) in [("a.csv", "series.json"), ("b.csv", "validation")] {
+        let motion = format!("--trajectory {path} --duration-s 10");
         succeeds(
             &here,
-            &format!("simulate {path} --seed {seed} --out {name}"),
+            &format!("simulate --robot ur5 {motion} --out {name}"),
         );
-        // Half of the motion of joint 3.
-        let half = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.5));
-        let log = planted(&text(here.join(name)), &half);
+        // Less than the motion of joint 3, and too little less to be told by the judgement.
+        let less = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.8));
+        let log = planted(&text(here.join(name)), &less);
         write(here.join(name), log);
     }
     let text = succeeds(
@@ -370,11 +374,12 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let all = TAU..TAU + 6;
     let one = |joint: usize| TAU + joint - 1..TAU + joint;
     let swapped_positions = each(|row| (0..3).for_each(|k| row.swap(Q + 6 * k, Q + 1 + 6 * k)));
+    let half_joint = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.5));
     let swapped_joints = each(|row| {
         let quantities = [0, 6, 12, 18].iter();
         quantities.for_each(|k| row.swap(Q + 1 + k, Q + 2 + k));
     });
-    let cases: [(Change, &str); 14] = [
+    let cases: [(Change, &str); 15] = [
         (
             scale(Q..Q + 18, 57.295_779_513),
             "are these degrees (--units q=deg), or are the limits too low",
@@ -401,6 +406,10 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         (
             swapped_joints,
             "positions and torques of joints 2 and 3 are swapped",
+        ),
+        (
+            half_joint,
+            "positions of joint 3 have another scale: 2 times",
         ),
         (swap(Q, TAU, 6), "positions and torques are swapped"),
         (scale(one(4), 10.0), "torque of joint 4 is "),

@@ -5,7 +5,6 @@
 mod described_arms;
 mod dynamics;
 mod faults;
-mod generated;
 mod oracle;
 mod pages;
 mod studies;

@@ -1,138 +1,13 @@
-//! Torques of a log against those of the description: signs, sizes, order of the joints, noise.
+//! Torques of a log against those of the description: signs, sizes, noise.
 
+use super::explained::{Explained, explain, links, other_reading};
 use super::{
-    CENTRE_M, DEVIATIONS, Extremes, GRAVITY_SHARE, JointCheck, Judgement, MOVED, NOISE_SHARE,
-    SOUND_SCALE, SOUND_SIZE, SWAP_EVIDENCE, SWAPPED_REST,
+    CENTRE_M, DEVIATIONS, Extremes, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE,
+    SOUND_SIZE,
 };
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;
-use nalgebra::{DMatrix, DVector, Matrix5, Vector5};
-
-/// Most rows on which other orders of the joints are tried.
-const SWAP_ROWS: usize = 300;
-
-/// Regression of one joint's torque on the description's link torque, friction and a rotor.
-#[derive(Clone, Copy)]
-struct Explained {
-    /// Share of the variance left.
-    rest: f64,
-    /// Torque over that of the description's links.
-    scale: f64,
-    deviation: f64,
-    /// Inertia beside that of the description's links, kg·m².
-    rotor: f64,
-    /// Gravity is large enough to decide.
-    heavy: bool,
-    /// Matrix and right side of the normal equations, and square of the torque.
-    normal: (Matrix5<f64>, Vector5<f64>, f64),
-}
-
-/// Fall of the logarithm of the unexplained share that proves a torque of the wrong sign.
-const SIGN_EVIDENCE: f64 = 1.0;
-/// Rounds of the fit within bounds.
-const ROUNDS: usize = 300;
-
-impl Explained {
-    /// Square of what a torque of this sign leaves: friction and rotors of an arm are not negative.
-    ///
-    /// * `scales` range of the torque over that of the description's links
-    fn left(&self, sign: f64, scales: (f64, f64)) -> f64 {
-        let (gram, moment, square) = &self.normal;
-        let moment = moment * sign;
-        let least = [scales.0, 0.0, 0.0, 0.0, f64::NEG_INFINITY];
-        let mut beta = Vector5::zeros();
-        for k in (0..ROUNDS).flat_map(|_| 0..least.len()) {
-            let own = (moment[k] - (gram.row(k) * beta)[0]) / gram[(k, k)] + beta[k];
-            let most = if k == 0 { scales.1 } else { f64::INFINITY };
-            beta[k] = own.clamp(least[k], most);
-        }
-        let left = square - 2.0 * moment.dot(&beta) + beta.dot(&(gram * beta));
-        // What rounding leaves of an exact torque is no evidence.
-        left.max(1e-9 * square)
-    }
-
-    /// The torque is explained by its opposite alone.
-    ///
-    /// * `certain` gravity is beyond what an error of the described centres of mass makes; else it may have either sign
-    fn is_turned(&self, certain: bool) -> bool {
-        let evidence = |scales: (f64, f64)| {
-            let [kept, turned] = [1.0, -1.0].map(|sign| self.left(sign, scales));
-            (kept / turned).ln()
-        };
-        // Where gravity may have either sign, the evidence of friction and rotor counts as much.
-        let free = match certain {
-            true => 0.0,
-            false => evidence((f64::NEG_INFINITY, f64::INFINITY)),
-        };
-        evidence(SOUND_SCALE) + free > SIGN_EVIDENCE
-    }
-}
-
-/// Torque of the links of the description and gravity at every row.
-fn links(model: &RigidBodies, states: &[Motion]) -> Vec<[PerJoint<f64>; 2]> {
-    let torques = |state: &Motion| {
-        [
-            model.inverse_dynamics(state),
-            model.gravity_torques(&state.q),
-        ]
-    };
-    states.iter().map(torques).collect()
-}
-
-fn explain(
-    joint: usize,
-    states: &[Motion],
-    links: &[[PerJoint<f64>; 2]],
-    limit: f64,
-    tau: impl Fn(usize) -> f64,
-) -> Explained {
-    const COLUMNS: usize = 5;
-    let count = states.len();
-    let x = DMatrix::from_fn(count, COLUMNS, |row, column| {
-        let state = &states[row];
-        match column {
-            0 => links[row][0][joint],
-            1 => (state.qd[joint] / (5.0 * SIGN_WIDTH_RAD_S)).tanh(),
-            2 => state.qd[joint],
-            3 => state.qdd[joint],
-            _ => 1.0,
-        }
-    });
-    let y = DVector::from_fn(count, |row, _| tau(row));
-    let mean = y.mean();
-    let variance = y.iter().map(|tau| (tau - mean).powi(2)).sum::<f64>();
-    let mut gram: Matrix5<f64> = x.tr_mul(&x).fixed_view::<5, 5>(0, 0).into();
-    let moment: Vector5<f64> = x.tr_mul(&y).fixed_rows::<5>(0).into();
-    // A joint without link torque, or one that stands still, has a column of zeros.
-    for k in 0..COLUMNS {
-        gram[(k, k)] += 1e-9 * gram[(k, k)] + 1e-12;
-    }
-    let normal = (gram, moment, y.norm_squared());
-    let Some(inverse) = gram.try_inverse() else {
-        return Explained {
-            rest: 1.0,
-            scale: 1.0,
-            deviation: f64::INFINITY,
-            rotor: 0.0,
-            heavy: false,
-            normal,
-        };
-    };
-    let beta = inverse * moment;
-    let rest = (&y - &x * beta).norm_squared();
-    let noise = rest / (count.max(COLUMNS + 1) - COLUMNS) as f64;
-    let gravity = links.iter().map(|link| link[1][joint].powi(2)).sum::<f64>();
-    Explained {
-        // A torque that never changes follows nothing.
-        rest: if variance > 0.0 { rest / variance } else { 1.0 },
-        scale: beta[0],
-        deviation: (noise * inverse[(0, 0)]).sqrt(),
-        rotor: beta[3],
-        normal,
-        heavy: (gravity / count.max(1) as f64).sqrt() > GRAVITY_SHARE * limit,
-    }
-}
 
 /// Compares the torques with those of the description.
 pub(super) fn compare(
@@ -178,7 +53,7 @@ pub(super) fn compare(
         );
         return;
     }
-    if let Some(text) = order(&model, robot, rows, (&own, extremes)) {
+    if let Some(text) = other_reading(&model, robot, rows, extremes) {
         judgement.find(true, text);
         return;
     }
@@ -306,75 +181,6 @@ pub(super) fn compare(
             );
         }
     }
-}
-
-/// Two joints whose positions or torques stand in each other's columns, if that explains the torques far better.
-fn order(
-    model: &RigidBodies,
-    robot: &Robot,
-    rows: &[(Motion, PerJoint<f64>)],
-    (own, extremes): (&[Explained], &[Extremes]),
-) -> Option<String> {
-    let step = rows.len().div_ceil(SWAP_ROWS).max(1);
-    let rows: Vec<&(Motion, PerJoint<f64>)> = rows.iter().step_by(step).collect();
-    // A torque of another sign or size than gravity's is no sound explanation.
-    let cost = |explained: &Explained| {
-        let scale = match explained.heavy {
-            true if explained.scale > 0.05 => explained.scale.ln().abs(),
-            true => 3.0,
-            false => 0.0,
-        };
-        explained.rest.clamp(1e-3, 1.0).ln() + scale
-    };
-    let states: Vec<Motion> = rows.iter().map(|row| row.0).collect();
-    let of_links = links(model, &states);
-    // Cost of an order, and the share of each joint that it leaves unexplained.
-    let all =
-        |states: &[Motion], of_links: &[[PerJoint<f64>; 2]], place: &dyn Fn(usize) -> usize| {
-            let joints = (0..own.len()).map(|joint| {
-                let limit = robot.joints[joint].limits.torque;
-                let tau = |row: usize| rows[row].1[place(joint)];
-                explain(joint, states, of_links, limit, tau)
-            });
-            let joints: Vec<Explained> = joints.collect();
-            let sum: f64 = joints.iter().map(cost).sum();
-            let rests: Vec<f64> = joints.iter().map(|explained| explained.rest).collect();
-            (sum, rests)
-        };
-    let straight = all(&states, &of_links, &|joint| joint);
-    let mut best = (straight.0 - SWAP_EVIDENCE, None);
-    for a in 0..own.len() {
-        for b in a + 1..own.len() {
-            if !(extremes[a].moved() && extremes[b].moved()) {
-                continue;
-            }
-            let swap = |joint: usize| match joint {
-                _ if joint == a => b,
-                _ if joint == b => a,
-                _ => joint,
-            };
-            let moved = states.iter().map(|state| {
-                let [q, qd, qdd] = [state.q, state.qd, state.qdd]
-                    .map(|own| PerJoint::from_fn(own.len(), |joint| own[swap(joint)]));
-                Motion { q, qd, qdd }
-            });
-            let moved: Vec<Motion> = moved.collect();
-            let of_moved = links(model, &moved);
-            for (what, found) in [
-                ("torques", all(&states, &of_links, &swap)),
-                ("positions", all(&moved, &of_moved, &|joint| joint)),
-                ("positions and torques", all(&moved, &of_moved, &swap)),
-            ] {
-                let (sum, rest) = found;
-                if sum < best.0 && rest[a] < SWAPPED_REST && rest[b] < SWAPPED_REST {
-                    best = (sum, Some((what, a, b)));
-                }
-            }
-        }
-    }
-    best.1.map(|(what, a, b)| {
-        format!("{what} of joints {} and {} are swapped: exchanged they follow the description, as they are they do not", a + 1, b + 1)
-    })
 }
 
 #[cfg(test)]

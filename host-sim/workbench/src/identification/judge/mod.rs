@@ -5,6 +5,7 @@
 
 mod compare;
 mod delay;
+mod explained;
 mod fitted;
 
 pub use fitted::unexplained;
@@ -44,10 +45,6 @@ const SOUND_SCALE: (f64, f64) = (0.4, 2.4);
 const CENTRE_M: f64 = 0.03;
 /// A torque with more than this share of its variance unexplained is noise.
 const NOISE_SHARE: f64 = 0.9;
-/// Fall of the sum of the logarithms of unexplained shares that proves another order of the joints.
-const SWAP_EVIDENCE: f64 = 2.0;
-/// Largest unexplained share of either joint in that other order.
-const SWAPPED_REST: f64 = 0.3;
 /// Delay of the torque that is refused, and that is noted, s.
 const DELAY_S: (f64, f64) = (10e-3, 4e-3);
 /// Standard deviations from which an estimate counts; analytic ones are about 2.5 times too small.

@@ -1,0 +1,258 @@
+//! Torques as the description explains them, under the columns as they are read and under other readings: joints
+//! exchanged, and positions of another scale.
+
+use super::{Extremes, GRAVITY_SHARE, SOUND_SCALE};
+use crate::dynamics::{Motion, PerJoint, RigidBodies};
+use crate::identification::columns::SIGN_WIDTH_RAD_S;
+use crate::robot::Robot;
+use nalgebra::{DMatrix, DVector, Matrix5, Vector5};
+
+/// Fall of the sum of the logarithms of unexplained shares that proves another reading of the columns.
+const READING_EVIDENCE: f64 = 2.0;
+/// Largest unexplained share of the joints that it reads in another way.
+const READING_REST: f64 = 0.3;
+/// Most rows on which other readings are tried.
+const READING_ROWS: usize = 300;
+/// Scales of positions that are tried. Far smaller ones leave the links without motion: no reading, but a
+/// description without links.
+const SCALES: [f64; 2] = [0.5, 2.0];
+
+/// Fall of the logarithm of the unexplained share that proves a torque of the wrong sign.
+const SIGN_EVIDENCE: f64 = 1.0;
+/// Rounds of the fit within bounds.
+const ROUNDS: usize = 300;
+
+/// Regression of one joint's torque on the description's link torque, friction and a rotor.
+#[derive(Clone, Copy)]
+pub(super) struct Explained {
+    /// Share of the variance left.
+    pub(super) rest: f64,
+    /// Torque over that of the description's links.
+    pub(super) scale: f64,
+    pub(super) deviation: f64,
+    /// Inertia beside that of the description's links, kg·m².
+    pub(super) rotor: f64,
+    /// Gravity is large enough to decide.
+    pub(super) heavy: bool,
+    /// Matrix and right side of the normal equations, and square of the torque.
+    normal: (Matrix5<f64>, Vector5<f64>, f64),
+}
+
+impl Explained {
+    /// Square of what a torque of this sign leaves: friction and rotors of an arm are not negative.
+    ///
+    /// * `scales` range of the torque over that of the description's links
+    fn left(&self, sign: f64, scales: (f64, f64)) -> f64 {
+        let (gram, moment, square) = &self.normal;
+        let moment = moment * sign;
+        let least = [scales.0, 0.0, 0.0, 0.0, f64::NEG_INFINITY];
+        let mut beta = Vector5::zeros();
+        for k in (0..ROUNDS).flat_map(|_| 0..least.len()) {
+            let own = (moment[k] - (gram.row(k) * beta)[0]) / gram[(k, k)] + beta[k];
+            let most = if k == 0 { scales.1 } else { f64::INFINITY };
+            beta[k] = own.clamp(least[k], most);
+        }
+        let left = square - 2.0 * moment.dot(&beta) + beta.dot(&(gram * beta));
+        // What rounding leaves of an exact torque is no evidence.
+        left.max(1e-9 * square)
+    }
+
+    /// The torque is explained by its opposite alone.
+    ///
+    /// * `certain` gravity is beyond what an error of the described centres of mass makes; else it may have either sign
+    pub(super) fn is_turned(&self, certain: bool) -> bool {
+        let evidence = |scales: (f64, f64)| {
+            let [kept, turned] = [1.0, -1.0].map(|sign| self.left(sign, scales));
+            (kept / turned).ln()
+        };
+        // Where gravity may have either sign, the evidence of friction and rotor counts as much.
+        let free = match certain {
+            true => 0.0,
+            false => evidence((f64::NEG_INFINITY, f64::INFINITY)),
+        };
+        evidence(SOUND_SCALE) + free > SIGN_EVIDENCE
+    }
+}
+
+/// Torque of the links of the description and gravity at every row.
+pub(super) fn links(model: &RigidBodies, states: &[Motion]) -> Vec<[PerJoint<f64>; 2]> {
+    let torques = |state: &Motion| {
+        [
+            model.inverse_dynamics(state),
+            model.gravity_torques(&state.q),
+        ]
+    };
+    states.iter().map(torques).collect()
+}
+
+pub(super) fn explain(
+    joint: usize,
+    states: &[Motion],
+    links: &[[PerJoint<f64>; 2]],
+    limit: f64,
+    tau: impl Fn(usize) -> f64,
+) -> Explained {
+    const COLUMNS: usize = 5;
+    let count = states.len();
+    let x = DMatrix::from_fn(count, COLUMNS, |row, column| {
+        let state = &states[row];
+        match column {
+            0 => links[row][0][joint],
+            1 => (state.qd[joint] / (5.0 * SIGN_WIDTH_RAD_S)).tanh(),
+            2 => state.qd[joint],
+            3 => state.qdd[joint],
+            _ => 1.0,
+        }
+    });
+    let y = DVector::from_fn(count, |row, _| tau(row));
+    let mean = y.mean();
+    let variance = y.iter().map(|tau| (tau - mean).powi(2)).sum::<f64>();
+    let mut gram: Matrix5<f64> = x.tr_mul(&x).fixed_view::<5, 5>(0, 0).into();
+    let moment: Vector5<f64> = x.tr_mul(&y).fixed_rows::<5>(0).into();
+    // A joint without link torque, or one that stands still, has a column of zeros.
+    for k in 0..COLUMNS {
+        gram[(k, k)] += 1e-9 * gram[(k, k)] + 1e-12;
+    }
+    let normal = (gram, moment, y.norm_squared());
+    let Some(inverse) = gram.try_inverse() else {
+        return Explained {
+            rest: 1.0,
+            scale: 1.0,
+            deviation: f64::INFINITY,
+            rotor: 0.0,
+            heavy: false,
+            normal,
+        };
+    };
+    let beta = inverse * moment;
+    let rest = (&y - &x * beta).norm_squared();
+    let noise = rest / (count.max(COLUMNS + 1) - COLUMNS) as f64;
+    let gravity = links.iter().map(|link| link[1][joint].powi(2)).sum::<f64>();
+    Explained {
+        // A torque that never changes follows nothing.
+        rest: if variance > 0.0 { rest / variance } else { 1.0 },
+        scale: beta[0],
+        deviation: (noise * inverse[(0, 0)]).sqrt(),
+        rotor: beta[3],
+        normal,
+        heavy: (gravity / count.max(1) as f64).sqrt() > GRAVITY_SHARE * limit,
+    }
+}
+
+/// Another reading of the columns of a log.
+struct Reading {
+    /// The finding, if it explains the torques far better.
+    text: String,
+    states: Vec<Motion>,
+    /// Column of each joint's torque.
+    torques: PerJoint<usize>,
+    /// Joints whose columns it reads in another way.
+    joints: Vec<usize>,
+}
+
+/// Every other reading that is tried: two joints exchanged, positions of one joint of another scale.
+fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
+    let joints = extremes.len();
+    let straight = PerJoint::from_fn(joints, |joint| joint);
+    let each = |change: &dyn Fn([PerJoint<f64>; 3]) -> [PerJoint<f64>; 3]| -> Vec<Motion> {
+        let changed = |state: &Motion| {
+            let [q, qd, qdd] = change([state.q, state.qd, state.qdd]);
+            Motion { q, qd, qdd }
+        };
+        states.iter().map(changed).collect()
+    };
+    let moved: Vec<usize> = (0..joints)
+        .filter(|joint| extremes[*joint].moved())
+        .collect();
+    let mut readings = Vec::new();
+    for (place, &a) in moved.iter().enumerate() {
+        for &b in &moved[place + 1..] {
+            let mut swap = straight;
+            (swap[a], swap[b]) = (b, a);
+            let exchanged = each(&|motion| {
+                motion.map(|own| PerJoint::from_fn(joints, |joint| own[swap[joint]]))
+            });
+            for (what, states, torques) in [
+                ("torques", states.to_vec(), swap),
+                ("positions", exchanged.clone(), straight),
+                ("positions and torques", exchanged, swap),
+            ] {
+                let text = format!(
+                    "{what} of joints {} and {} are swapped: exchanged they follow the description, as they are they do not",
+                    a + 1,
+                    b + 1
+                );
+                readings.push(Reading {
+                    text,
+                    states,
+                    torques,
+                    joints: vec![a, b],
+                });
+            }
+        }
+    }
+    for scale in SCALES {
+        for &joint in &moved {
+            let scaled = |mut motion: [PerJoint<f64>; 3]| {
+                motion.iter_mut().for_each(|own| own[joint] *= scale);
+                motion
+            };
+            let text = format!(
+                "positions of joint {} have another scale: {scale} times as large they follow the description, as they are they do not",
+                joint + 1
+            );
+            readings.push(Reading {
+                text,
+                states: each(&scaled),
+                torques: straight,
+                joints: vec![joint],
+            });
+        }
+    }
+    readings
+}
+
+/// The reading of the columns that explains the torques far better than the one that was taken, if there is one.
+pub(super) fn other_reading(
+    model: &RigidBodies,
+    robot: &Robot,
+    rows: &[(Motion, PerJoint<f64>)],
+    extremes: &[Extremes],
+) -> Option<String> {
+    let step = rows.len().div_ceil(READING_ROWS).max(1);
+    let rows: Vec<&(Motion, PerJoint<f64>)> = rows.iter().step_by(step).collect();
+    let left = |explained: &Explained| explained.rest.clamp(1e-3, 1.0).ln();
+    // A torque of another sign or size than gravity's is no sound explanation.
+    let size = |explained: &Explained| match explained.heavy {
+        true if explained.scale > 0.05 => explained.scale.ln().abs(),
+        true => 3.0,
+        false => 0.0,
+    };
+    // Logarithms of the shares that a reading leaves unexplained, without and with the cost of the sizes, and the shares.
+    let judged = |states: &[Motion], torques: &PerJoint<usize>| {
+        let of_links = links(model, states);
+        let joints = torques.iter().enumerate().map(|(joint, place)| {
+            let limit = robot.joints[joint].limits.torque;
+            explain(joint, states, &of_links, limit, |row| rows[row].1[*place])
+        });
+        let joints: Vec<Explained> = joints.collect();
+        let left: f64 = joints.iter().map(left).sum();
+        let sizes: f64 = joints.iter().map(size).sum();
+        let rests: Vec<f64> = joints.iter().map(|explained| explained.rest).collect();
+        ([left, left + sizes], rests)
+    };
+    let states: Vec<Motion> = rows.iter().map(|row| row.0).collect();
+    let straight = PerJoint::from_fn(extremes.len(), |joint| joint);
+    let (own, _) = judged(&states, &straight);
+    let mut best = (READING_EVIDENCE, None);
+    for reading in readings(&states, extremes) {
+        let (other, rests) = judged(&reading.states, &reading.torques);
+        // Masses of a description may be wrong, and sizes alone are no evidence.
+        let evidence = f64::min(own[0] - other[0], own[1] - other[1]);
+        let explained = |joint: &usize| rests[*joint] < READING_REST;
+        if evidence > best.0 && reading.joints.iter().all(explained) {
+            best = (evidence, Some(reading.text));
+        }
+    }
+    best.1
+}
