@@ -157,7 +157,7 @@ pub fn identify(
     let lost: Vec<String> = lost.collect();
     if !lost.is_empty() {
         judgement.find(false, format!(
-            "joint {}: the identified parameters predict worse than the description: is the scale of a position or of the time wrong?",
+            "joint {}: the identified parameters predict worse than the description: do the logs show enough of its motion, and are their scales right?",
             lost.join(", ")
         ));
     }

@@ -12,11 +12,12 @@ use std::path::Path;
 const PREVIEW: usize = 4096;
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
-/// Rows with an uneven clock are put on an even grid in the same way.
+/// Rows with an uneven clock are put on an even grid in the same way, and rows that repeat their values are left out.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
     pub(super) reader: LogReader,
+    held: Held,
     /// The first rows, those put in included.
     pub(super) preview: Vec<LogRow>,
     /// Resolution of the positions, rad.
@@ -58,19 +59,22 @@ impl WholeLog {
                 }
             });
         }
+        let mut held = Held::of(&first);
+        first.retain(|row| held.is_new(row));
         let steps = StepTimes::of(&first);
         let (clock, period_s) = clock(&first, &steps);
-        let times = repeats(&first);
-        if times > 1 {
+        if held.times > 1 {
             reader.notes.push(format!(
-                "{}: values repeat in {times} rows: the sensors were read at {:.0} Hz; keep one row of {times}",
+                "{}: values repeat in {times} rows: the sensors were read at {:.0} Hz, and one row of {times} is kept",
                 path.display(),
-                1.0 / (times as f64 * period_s)
+                1.0 / period_s,
+                times = held.times
             ));
         }
         let mut log = Self {
             notes: reader.notes.clone(),
             reader,
+            held,
             preview: Vec::new(),
             resolution: resolution(&first),
             period_s,
@@ -109,7 +113,9 @@ impl WholeLog {
     pub fn next_row(&mut self) -> Result<Option<LogRow>, TableError> {
         while self.waiting.is_empty() {
             let row = self.reader.next_row()?;
-            self.read(row);
+            if row.as_ref().is_none_or(|row| self.held.is_new(row)) {
+                self.read(row);
+            }
             if row.is_none() {
                 break;
             }
@@ -251,12 +257,48 @@ fn resolution(rows: &[LogRow]) -> Vec<f64> {
         .collect()
 }
 
-/// Number of rows in which the values of a moving arm are the same, median.
-fn repeats(rows: &[LogRow]) -> usize {
-    let equal = rows.chunk_by(|a, b| (a.q, a.tau) == (b.q, b.tau));
-    let mut counts: Vec<usize> = equal.map(<[LogRow]>::len).collect();
-    counts.sort_unstable();
-    counts.get(counts.len() / 2).copied().unwrap_or(1)
+/// Rows that hold the values of a slower sensor.
+struct Held {
+    /// Rows of one reading of the sensor.
+    times: usize,
+    last: Option<LogRow>,
+    /// Rows since the last new one.
+    count: usize,
+}
+
+impl Held {
+    /// Runs of equal rows of a moving arm from which sensors count as slower than the log.
+    const RUNS: usize = 20;
+    /// Share of the runs that has one of two neighbouring lengths: those of values that come back by chance scatter.
+    const ALIKE: f64 = 0.8;
+
+    fn of(rows: &[LogRow]) -> Self {
+        let equal = rows.chunk_by(|a, b| (a.q, a.tau) == (b.q, b.tau));
+        let mut runs: Vec<usize> = equal.map(<[LogRow]>::len).collect();
+        runs.sort_unstable();
+        let median = runs.get(runs.len() / 2).copied().unwrap_or(1);
+        let alike = |least: usize| {
+            let alike = runs.iter().filter(|run| (least..=least + 1).contains(*run));
+            alike.count() as f64 >= Self::ALIKE * runs.len() as f64
+        };
+        let slower = runs.len() >= Self::RUNS && (alike(median) || alike(median - 1));
+        Self {
+            times: if slower { median } else { 1 },
+            last: None,
+            count: 0,
+        }
+    }
+
+    /// The row is a reading of its own. One of a resting arm is, as often as the sensor is read.
+    fn is_new(&mut self, row: &LogRow) -> bool {
+        self.count += 1;
+        let same = |last: &LogRow| (last.q, last.tau) == (row.q, row.tau);
+        let new = self.count >= self.times || !self.last.as_ref().is_some_and(same);
+        if new {
+            (self.last, self.count) = (Some(*row), 0);
+        }
+        new
+    }
 }
 
 #[cfg(test)]
@@ -323,24 +365,37 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn rows_that_repeat_their_values_are_named() {
+    fn of_rows_that_repeat_their_values_one_is_kept() {
         let stamps: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(k)).collect();
-        let note = |read: &dyn Fn(i32) -> i32| {
+        let kept = |read: &dyn Fn(i32) -> i32| {
             let times: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(read(k))).collect();
-            let (_, log) = stamped(&times, &stamps);
-            log.notes
-                .into_iter()
-                .find(|note| note.contains("values repeat"))
+            let (rows, log) = stamped(&times, &stamps);
+            let note = log
+                .notes
+                .iter()
+                .find_map(|note| Some(note.split_once("values repeat in ")?.1.to_owned()));
+            (rows, log.period_s(), note)
         };
-        let repeated = note(&|k| k / 4 * 4).expect("a note");
+        let (rows, period_s, note) = kept(&|k| k / 4 * 4);
+        let expected = "4 rows: the sensors were read at 100 Hz, and one row of 4 is kept";
+        assert_eq!(note.as_deref(), Some(expected));
         assert!(
-            repeated.contains(
-                "values repeat in 4 rows: the sensors were read at 100 Hz; keep one row of 4"
-            ),
-            "{repeated}"
+            rows.len() == 100 && (period_s - 0.01).abs() < 1e-9,
+            "{period_s}"
         );
-        assert_eq!(note(&|k| k), None);
-        assert_eq!(note(&|k| k.max(200)), None, "an arm that rests first");
+        for row in rows {
+            assert!((row.q[0] - motion(row.t_s).0).abs() < 1e-9, "{}", row.t_s);
+        }
+        // 160 Hz in 400 rows a second, every reading in two or three rows.
+        let (rows, period_s, _) = kept(&|k| k * 2 / 5 * 5 / 2);
+        assert!((period_s - 6.25e-3).abs() < 1e-4, "{period_s}");
+        assert_eq!(rows.len(), 160);
+        // Every row is read, the arm rests first, and values that come back by chance.
+        let chance = |k: i32| k - [0, 1, 2, 3, 0, 1, 0, 0, 1, 2, 0][k as usize % 11];
+        for read in [&(|k| k) as &dyn Fn(i32) -> i32, &|k| k.max(200), &chance] {
+            let (rows, _, note) = kept(read);
+            assert_eq!((rows.len(), note), (400, None));
+        }
     }
 
     #[test]
