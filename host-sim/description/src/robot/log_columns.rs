@@ -171,6 +171,8 @@ pub struct LogColumns {
     pub topic: Option<String>,
     /// Time.
     pub t_s: Option<String>,
+    /// Rows a second, in the place of a column of times, Hz.
+    pub rate_hz: Option<f64>,
     /// Positions.
     pub q_rad: Option<ColumnNames>,
     /// Velocities.

@@ -1,6 +1,6 @@
 //! Logs: the project's own columns, or foreign ones through the map of the robot description.
 
-use super::log_search::{has, is_there, joint_places, likeness, no_columns};
+use super::log_search::{has, is_there, joint_places, likeness, no_columns, no_times};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
 use crate::table::{Rows, TableError, Topics};
@@ -27,7 +27,9 @@ pub struct LogRow {
 /// Reads a log row by row, in constant memory.
 pub(super) struct LogReader {
     rows: Rows,
-    time: (usize, f64),
+    time: Time,
+    /// Rows read so far.
+    count: u64,
     q: Columns,
     qd: Option<Columns>,
     pub(super) qdd: Option<Columns>,
@@ -41,6 +43,15 @@ pub(super) struct LogReader {
     coupling: Option<(Coupling, bool)>,
     /// Remarks on the columns.
     pub(super) notes: Vec<String>,
+}
+
+/// Times of the rows.
+#[derive(Clone, Copy)]
+enum Time {
+    /// A column, and its unit, s.
+    Column(usize, f64),
+    /// Rows at this time from each other, s.
+    Even(f64),
 }
 
 /// Columns of one quantity, and the value in SI of one unit of each.
@@ -122,12 +133,21 @@ impl LogReader {
         let own_units = map.all_units.clone().unwrap_or_default().scale;
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
         let map_units = map_units.cloned().unwrap_or_default().scale;
-        let time = match (&map.t_s, rows.find("t_s")?) {
-            (Some(name), own) if map.required || own.is_none() || has(&rows, name) => {
-                (rows.require(name)?, map_units[0])
+        let time = match (map.rate_hz, &map.t_s, rows.find("t_s")?) {
+            (Some(_), Some(_), _) => {
+                let problem = "t_s and rate_hz in one map of columns: keep one of them";
+                return Err(TableError::at(path, None, problem));
             }
-            (_, Some(place)) => (place, own_units[0]),
-            (_, None) => return Err(missing("t_s")),
+            (Some(hz), None, _) if hz > 0.0 && hz.is_finite() => Time::Even(1.0 / hz),
+            (Some(hz), None, _) => {
+                let problem = format!("rate_hz is {hz}, no number of rows a second");
+                return Err(TableError::at(path, None, problem));
+            }
+            (None, Some(name), own) if map.required || own.is_none() || has(&rows, name) => {
+                Time::Column(rows.require(name)?, map_units[0])
+            }
+            (None, _, Some(place)) => Time::Column(place, own_units[0]),
+            (None, _, None) => return Err(no_times(path)),
         };
         let quantity = |unit: usize, name, names: &Option<ColumnNames>| {
             let found = joint_places(&rows, name, (names.as_ref(), map.required), robot)?;
@@ -179,6 +199,7 @@ impl LogReader {
         }
         Ok(Self {
             time,
+            count: 0,
             q,
             qd,
             qdd,
@@ -223,7 +244,11 @@ impl LogReader {
         if !self.rows.advance()? {
             return Ok(None);
         }
-        let t_s = self.rows.time(self.time.0)? * self.time.1;
+        let t_s = match self.time {
+            Time::Column(place, unit_s) => self.rows.time(place)? * unit_s,
+            Time::Even(step_s) => self.count as f64 * step_s,
+        };
+        self.count += 1;
         let numbers = |columns: &Option<Columns>| {
             let mut values = PerJoint::repeat(self.q.places.len(), 0.0);
             let Some(columns) = columns else {

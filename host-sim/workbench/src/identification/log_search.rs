@@ -3,6 +3,7 @@
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
 use crate::table::{Rows, TableError};
+use std::path::Path;
 
 /// The log has a column of that name, or several.
 pub(super) fn has(rows: &Rows, name: &str) -> bool {
@@ -144,6 +145,12 @@ fn renamed(
     Ok(Some(columns))
 }
 
+/// The error of a log without times.
+pub(super) fn no_times(path: &Path) -> TableError {
+    let problem = "column t_s is missing: name it by t_s, or give the rows a second by rate_hz, in --columns-from FILE";
+    TableError::at(path, 1, problem)
+}
+
 /// The error of a log without known columns: its header, and the lines of a map with what can be guessed.
 pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     const SHOWN: usize = 40;
@@ -174,7 +181,10 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
         let name = name.to_lowercase();
         name == "t" || name.contains("time") || name.contains("stamp")
     };
-    let time = header.iter().find(time).map_or("…", String::as_str);
+    let time = match header.iter().find(time) {
+        Some(name) => format!("t_s = \"{name}\""),
+        None => "rate_hz = …  # rows a second".to_owned(),
+    };
     let asked = ["des", "target", "cmd", "ref"];
     let q = guess(
         &["q", "pos", "angle"],
@@ -185,7 +195,7 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     let more = if header.len() > SHOWN { ", …" } else { "" };
     let problem = format!(
         "no columns for time, positions and torques (t_s, q1_rad…, tau1_nm…) and none of a known source\n  header: {all}{more}\n  write these lines into a file, mend them, and add --columns-from FILE (or {}):\n\
-         t_s = \"{time}\"\nq_rad = \"{q}\"\ntau_nm = \"{tau}\"",
+         {time}\nq_rad = \"{q}\"\ntau_nm = \"{tau}\"",
         LOG_SOURCES.join(", ")
     );
     TableError::at(&rows.path, 1, problem)

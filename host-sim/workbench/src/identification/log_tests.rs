@@ -194,13 +194,22 @@ fn a_required_map_wins_over_own_names() {
         });
         read_text("both.csv", &text, &robot)
     };
-    let (rows, _) = read_by("tau_nm = 'a{}'\nunits = 'tau=-mNm'").expect("a log");
-    is_the_motion(&rows, "measured");
+    let measured = "tau_nm = 'a{}'\nunits = 'tau=-mNm'";
+    let rate_hz = 1.0 / (row(1).0 - row(0).0);
+    for map in [
+        measured.to_owned(),
+        format!("{measured}\nrate_hz = {rate_hz}"),
+    ] {
+        let (rows, _) = read_by(&map).expect("a log");
+        is_the_motion(&rows, &map);
+    }
     for (map, problem) in [
         ("q_rad = 'pos{}'", "column pos1 is missing"),
         ("q_rad = 'q{2}_rad'", "q has one column for all joints"),
         ("tau_nm = ['a1', 'a2']", "2 names of columns for 6 joints"),
         ("t_s = 'time'", "column time is missing"),
+        ("t_s = 't_s'\nrate_hz = 100.0", "keep one of them"),
+        ("rate_hz = -1.0", "rate_hz is -1, no number of rows"),
         (
             "tau_nm = 'a'",
             "tau has one column for all joints: write {}",
