@@ -1,11 +1,11 @@
 //! The program as its users call it, in a directory of its own. One test crate: the program's parts are linked once.
 
 mod bad_input;
-mod bags;
 mod cli;
 mod cli_bus;
 mod excitation;
 mod identification;
+mod logs;
 #[path = "../../tests/python.rs"]
 mod python;
 mod serial;

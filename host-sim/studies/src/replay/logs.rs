@@ -1,6 +1,6 @@
 //! The logs row by row, with the torques of batch least squares on the other paths; squared errors of the moving rows.
 
-use super::record::{GATE_RAD_S, PathScores, Predictions};
+use super::record::{GATE_RAD_S, PathScores, Predictions, WorstWindow};
 use crate::real_ur5::geometric_mean;
 use crate::{Progress, StudyError};
 use foretorque::joint::{JointMeasurement, JointVector};
@@ -270,8 +270,7 @@ pub(super) struct Scores<const N: usize> {
     pub(super) rich: Errors<N>,
     pub(super) plain_aged: Errors<N>,
     pub(super) rich_aged: Errors<N>,
-    /// Largest error of the newest parameters over that of the start in a window, all joints over their torque limits.
-    pub(super) worst_window: Option<f64>,
+    pub(super) worst_window: Option<WorstWindow>,
 }
 
 impl<const N: usize> Scores<N> {
@@ -305,21 +304,31 @@ impl<const N: usize> Scores<N> {
         rows: usize,
         limits: &[f64; N],
     ) {
-        let squares = |torques: &[f64], k: usize| -> f64 {
-            let row = &stretch.rows[k];
-            let error = |joint: usize| torques[k * N + joint] - row.tau[joint];
-            let shares = moving(row).map(|joint| error(joint) / limits[joint]);
-            shares.map(|share| share * share).sum()
+        let squares = |torques: &[f64], begin: usize| {
+            let mut sums = [0.0; N];
+            for k in begin..begin + rows {
+                let row = &stretch.rows[k];
+                for joint in moving(row) {
+                    let error = torques[k * N + joint] - row.tau[joint];
+                    sums[joint] += (error / limits[joint]).powi(2);
+                }
+            }
+            sums
         };
         for begin in (0..stretch.rows.len().saturating_sub(rows)).step_by((rows / 4).max(1)) {
-            let sum = |torques: &[f64]| -> f64 {
-                let squares = (begin..begin + rows).map(|k| squares(torques, k));
-                squares.sum()
-            };
-            let (newest, start) = (sum(&predicted.newest), sum(&predicted.frozen));
-            if start > 0.0 {
-                let ratio = (newest / start).sqrt();
-                self.worst_window = Some(self.worst_window.map_or(ratio, |worst| worst.max(ratio)));
+            let newest = squares(&predicted.newest, begin);
+            let start = squares(&predicted.frozen, begin);
+            let ratio = (newest.iter().sum::<f64>() / start.iter().sum::<f64>()).sqrt();
+            let worse = |worst: WorstWindow| ratio > worst.ratio;
+            if ratio.is_finite() && self.worst_window.is_none_or(worse) {
+                let excess = |joint: &usize| newest[*joint] - start[*joint];
+                let most = (0..N).max_by(|a, b| excess(a).total_cmp(&excess(b)));
+                let preparation = &stretch.preparation;
+                self.worst_window = Some(WorstWindow {
+                    ratio,
+                    from_s: preparation.start_s + begin as f64 * preparation.period_s,
+                    joint: most.unwrap_or_default() + 1,
+                });
             }
         }
     }
@@ -332,7 +341,8 @@ impl<const N: usize> Scores<N> {
             aged_ratio: self.aged.over(&self.rich_aged),
             frozen_ratio: self.frozen.over(&self.rich),
             within_1_1_after_s,
-            worst_window_over_start_ratio: self.worst_window,
+            worst_window_over_start_ratio: self.worst_window.map(|worst| worst.ratio),
+            worst_window: self.worst_window,
         }
     }
 }

@@ -4,7 +4,7 @@ mod logs;
 mod record;
 
 pub use logs::ReplayPath;
-pub use record::{PathScores, ReplayDecision, ReplayReport};
+pub use record::{PathScores, ReplayDecision, ReplayReport, WorstWindow};
 
 use crate::real_ur5::{PATHS, geometric_mean};
 use crate::{Outcome, Progress, StudyError};
@@ -270,7 +270,9 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         (!ratios.is_empty()).then(|| geometric_mean(&ratios))
     };
     let plain = |pick| mean(pick).filter(|_| fitted);
-    let windows = scores.iter().filter_map(|scores| scores.worst_window);
+    let windows = scores
+        .iter()
+        .filter_map(|scores| Some(scores.worst_window?.ratio));
     let worst = within.iter().copied().reduce(|a, b| Some(a?.max(b?)));
     let report = ReplayReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -28,6 +28,19 @@ pub struct PathScores {
     /// Largest error of the newest parameters over that of the start in any 3 s, all joints as shares of their torque
     /// limits.
     pub worst_window_over_start_ratio: Option<f64>,
+    /// Where that was.
+    pub worst_window: Option<WorstWindow>,
+}
+
+/// Window in which the newest parameters are worst against the start.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WorstWindow {
+    /// Error of the newest parameters over that of the start, all joints as shares of their torque limits.
+    pub ratio: f64,
+    /// Begin of the window in the log's own time, s.
+    pub from_s: f64,
+    /// Joint with the largest excess of its square, from 1.
+    pub joint: usize,
 }
 
 /// Decision of the supervisor.
@@ -136,7 +149,14 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
     let within = report.paths.iter();
     let within = within.map(|path| {
         let window = ratio(path.worst_window_over_start_ratio);
-        [path.path.clone(), ratio(path.within_1_1_after_s), window]
+        let place = path
+            .worst_window
+            .map_or([String::new(), String::new()], |worst| {
+                [format!("{:.2}", worst.from_s), format!("J{}", worst.joint)]
+            });
+        let [from, joint] = place;
+        let after = ratio(path.within_1_1_after_s);
+        [path.path.clone(), after, window, from, joint]
     });
     let decisions = report.decisions.iter().map(|own| {
         let joint = own.joint.map_or("–".to_owned(), |j| format!("J{j}"));
@@ -151,7 +171,7 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
             "Motion until the error over 2 s is within 1.1 of the reference; worst 3 s against the start",
             "A board fresh from the start on every path, s.",
         )
-        .table("path | s | worst 3 s over the start", within),
+        .table("path | s | worst 3 s over the start | from / s | most in", within),
         Section::new("Decisions of the supervisor", "Time over all logs.")
             .table("time / s | reason | joint | figure", decisions),
         Section::new("Treatment of the logs", format!("Rows {:.3} ms apart.", 1e3 * report.period_s))
@@ -162,7 +182,19 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         .map(|(value, label)| format!("{label:<56} {} × {}\n", ratio(*value), report.reference));
     let worst = ratio(report.worst_window_over_start_ratio);
     let (label, start) = ("worst 3 s of the newest parameters", &report.start);
-    let worst = format!("{label:<56} {worst} × {start}\n");
+    let found = report
+        .paths
+        .iter()
+        .filter_map(|path| Some((path, path.worst_window?)));
+    let found = found.max_by(|a, b| a.1.ratio.total_cmp(&b.1.ratio));
+    let place = found.map_or(String::new(), |(path, worst)| {
+        let WorstWindow { from_s, joint, .. } = worst;
+        format!(
+            ", from {from_s:.1} s of {}, most in joint {joint}",
+            path.path
+        )
+    });
+    let worst = format!("{label:<56} {worst} × {start}{place}\n");
     let decisions = format!("decisions  {}\n", decision_line(&report.decisions));
     let few = too_few_rows(report.rows_accepted_count, report.ticks_count);
     let lines = few.into_iter().chain(lines);

@@ -185,7 +185,7 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
         Some(name) => format!("t_s = \"{name}\""),
         None => "rate_hz = …  # rows a second".to_owned(),
     };
-    let asked = ["des", "target", "cmd", "ref"];
+    let asked = ["des", "target", "cmd", "ref", "con"];
     let q = guess(
         &["q", "pos", "angle"],
         &[&asked[..], &["qd", "dq"]].concat(),

@@ -255,7 +255,7 @@ SOUND 0,0,0,0 1,2,3 | :3: 3 fields where the header has 4
 SOUND 0,0,0,0 1,2,x,4 | :3: column qd1_rad_s: \"x\" is not a finite number
 SOUND 0,0,0,NaN | :2: column qdd1_rad_s2: \"NaN\" is not a finite number
 SOUND 0,0,0, | :2: column qdd1_rad_s2: \"\" is not a finite number
-SOUND 1,0,0,0 2,0,0,0 2,0,0,0 | :4: column t_s: 2 does not come after 2
+SOUND 1,0,0,0 2,0,0,0 2,0,0,0 | :4: column t_s: 2 does not come after 2: keep one row of each time
 SOUND | : no rows
  | : no rows";
         for case in cases.lines() {

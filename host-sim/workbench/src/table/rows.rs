@@ -264,7 +264,13 @@ impl Rows {
         match self.previous_s.replace(t_s) {
             Some(previous_s) if t_s <= previous_s => {
                 let name = &self.header[column];
-                let problem = format!("column {name}: {t_s} does not come after {previous_s}");
+                let twice = if t_s == previous_s {
+                    ": keep one row of each time"
+                } else {
+                    ""
+                };
+                let problem =
+                    format!("column {name}: {t_s} does not come after {previous_s}{twice}");
                 Err(self.row_error(problem))
             }
             _ => Ok(t_s),

@@ -149,10 +149,11 @@ pub(super) fn compare(
         }
     }
     let off = |joint: &&usize| {
-        let scale = &own[**joint];
+        let own = &own[**joint];
         let (low, high) = SOUND_SCALE;
-        let clear = scale.deviation * DEVIATIONS < (scale.scale - 1.0).abs();
-        sound(**joint) && clear && !(low..=high).contains(&scale.scale)
+        let clear = own.deviation * DEVIATIONS < (own.scale - 1.0).abs();
+        let (least, most) = (own.scale.min(own.scale_back), own.scale.max(own.scale_back));
+        sound(**joint) && clear && (most < low || least > high)
     };
     let off: Vec<&usize> = heavy.iter().filter(off).collect();
     let unexplained = heavy.iter().filter(|&&joint| own[joint].rest > 0.6).count();

@@ -1,5 +1,5 @@
 //! Torques as the description explains them, under the columns as they are read and under other readings: joints
-//! exchanged, and positions of another scale.
+//! exchanged, and positions of another scale or direction.
 
 use super::{Extremes, GRAVITY_SHARE, SOUND_SCALE};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
@@ -13,9 +13,6 @@ const READING_EVIDENCE: f64 = 2.0;
 const READING_REST: f64 = 0.3;
 /// Most rows on which other readings are tried.
 const READING_ROWS: usize = 300;
-/// Scales of positions that are tried. Far smaller ones leave the links without motion: no reading, but a
-/// description without links.
-const SCALES: [f64; 2] = [0.5, 2.0];
 
 /// Fall of the logarithm of the unexplained share that proves a torque of the wrong sign.
 const SIGN_EVIDENCE: f64 = 1.0;
@@ -29,6 +26,8 @@ pub(super) struct Explained {
     pub(super) rest: f64,
     /// Torque over that of the description's links.
     pub(super) scale: f64,
+    /// The same if all errors were those of the description's torque, as of noisy accelerations: regression the other way.
+    pub(super) scale_back: f64,
     pub(super) deviation: f64,
     /// Inertia beside that of the description's links, kg·m².
     pub(super) rotor: f64,
@@ -118,6 +117,7 @@ pub(super) fn explain(
         return Explained {
             rest: 1.0,
             scale: 1.0,
+            scale_back: 1.0,
             deviation: f64::INFINITY,
             rotor: 0.0,
             heavy: false,
@@ -132,6 +132,7 @@ pub(super) fn explain(
         // A torque that never changes follows nothing.
         rest: if variance > 0.0 { rest / variance } else { 1.0 },
         scale: beta[0],
+        scale_back: beta[0] + rest * inverse[(0, 0)] / beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),
         rotor: beta[3],
         normal,
@@ -144,16 +145,16 @@ struct Reading {
     /// The finding, if it explains the torques far better.
     text: String,
     states: Vec<Motion>,
-    /// Column of each joint's torque.
-    torques: PerJoint<usize>,
+    /// Column of each joint's torque, and its sign.
+    torques: PerJoint<(usize, f64)>,
     /// Joints whose columns it reads in another way.
     joints: Vec<usize>,
 }
 
-/// Every other reading that is tried: two joints exchanged, positions of one joint of another scale.
+/// Every other reading that is tried: two joints exchanged, and one joint that counts the other way or in another scale.
 fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
     let joints = extremes.len();
-    let straight = PerJoint::from_fn(joints, |joint| joint);
+    let straight = PerJoint::from_fn(joints, |joint| (joint, 1.0));
     let each = |change: &dyn Fn([PerJoint<f64>; 3]) -> [PerJoint<f64>; 3]| -> Vec<Motion> {
         let changed = |state: &Motion| {
             let [q, qd, qdd] = change([state.q, state.qd, state.qdd]);
@@ -168,9 +169,10 @@ fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
     for (place, &a) in moved.iter().enumerate() {
         for &b in &moved[place + 1..] {
             let mut swap = straight;
-            (swap[a], swap[b]) = (b, a);
-            let exchanged = each(&|motion| {
-                motion.map(|own| PerJoint::from_fn(joints, |joint| own[swap[joint]]))
+            swap.swap(a, b);
+            let exchanged = each(&|mut motion| {
+                motion.iter_mut().for_each(|own| own.swap(a, b));
+                motion
             });
             for (what, states, torques) in [
                 ("torques", states.to_vec(), swap),
@@ -191,20 +193,43 @@ fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
             }
         }
     }
-    for scale in SCALES {
-        for &joint in &moved {
+    for &joint in &moved {
+        let mut turned = straight;
+        turned[joint].1 = -1.0;
+        let number = joint + 1;
+        let follow = "they follow the description, as they are they do not";
+        for (scale, torques, text) in [
+            (
+                -1.0,
+                straight,
+                format!("positions of joint {number} count the other way: turned {follow}"),
+            ),
+            (
+                -1.0,
+                turned,
+                format!(
+                    "positions and torques of joint {number} count the other way: turned {follow}"
+                ),
+            ),
+            (
+                0.5,
+                straight,
+                format!("positions of joint {number} have another scale: halved {follow}"),
+            ),
+            (
+                2.0,
+                straight,
+                format!("positions of joint {number} have another scale: doubled {follow}"),
+            ),
+        ] {
             let scaled = |mut motion: [PerJoint<f64>; 3]| {
                 motion.iter_mut().for_each(|own| own[joint] *= scale);
                 motion
             };
-            let text = format!(
-                "positions of joint {} have another scale: {scale} times as large they follow the description, as they are they do not",
-                joint + 1
-            );
             readings.push(Reading {
                 text,
                 states: each(&scaled),
-                torques: straight,
+                torques,
                 joints: vec![joint],
             });
         }
@@ -229,11 +254,12 @@ pub(super) fn other_reading(
         false => 0.0,
     };
     // Logarithms of the shares that a reading leaves unexplained, without and with the cost of the sizes, and the shares.
-    let judged = |states: &[Motion], torques: &PerJoint<usize>| {
+    let judged = |states: &[Motion], torques: &PerJoint<(usize, f64)>| {
         let of_links = links(model, states);
-        let joints = torques.iter().enumerate().map(|(joint, place)| {
+        let joints = torques.iter().enumerate().map(|(joint, (place, sign))| {
             let limit = robot.joints[joint].limits.torque;
-            explain(joint, states, &of_links, limit, |row| rows[row].1[*place])
+            let tau = |row: usize| sign * rows[row].1[*place];
+            explain(joint, states, &of_links, limit, tau)
         });
         let joints: Vec<Explained> = joints.collect();
         let left: f64 = joints.iter().map(left).sum();
@@ -242,16 +268,17 @@ pub(super) fn other_reading(
         ([left, left + sizes], rests)
     };
     let states: Vec<Motion> = rows.iter().map(|row| row.0).collect();
-    let straight = PerJoint::from_fn(extremes.len(), |joint| joint);
+    let straight = PerJoint::from_fn(extremes.len(), |joint| (joint, 1.0));
     let (own, _) = judged(&states, &straight);
-    let mut best = (READING_EVIDENCE, None);
+    let mut best = (0.0, None);
     for reading in readings(&states, extremes) {
         let (other, rests) = judged(&reading.states, &reading.torques);
         // Masses of a description may be wrong, and sizes alone are no evidence.
-        let evidence = f64::min(own[0] - other[0], own[1] - other[1]);
+        let falls = [own[0] - other[0], own[1] - other[1]];
+        let proves = falls.iter().all(|fall| *fall > READING_EVIDENCE);
         let explained = |joint: &usize| rests[*joint] < READING_REST;
-        if evidence > best.0 && reading.joints.iter().all(explained) {
-            best = (evidence, Some(reading.text));
+        if proves && falls[1] > best.0 && reading.joints.iter().all(explained) {
+            best = (falls[1], Some(reading.text));
         }
     }
     best.1

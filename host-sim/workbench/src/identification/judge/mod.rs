@@ -39,6 +39,8 @@ const SOUND_SIZE: (f64, f64) = (0.2, 5.0);
 const MOVED: (f64, f64) = (0.2, 0.2);
 /// Speed from which the delay is estimated, rad/s: the step of friction at a reversal passes for a delay.
 const FAST_RAD_S: f64 = 0.2;
+/// Change of a sound position over its logged velocity, or its reciprocal.
+const SOUND_RATE: f64 = 1.25;
 /// Range of a sound torque over that of the description.
 const SOUND_SCALE: (f64, f64) = (0.4, 2.4);
 /// Error of the centre of mass of a body of the description, m.
@@ -114,12 +116,16 @@ impl Judgement {
 struct Extremes {
     position: (f64, f64),
     speed: f64,
+    /// Time of that speed, s.
+    fastest_s: f64,
     torque: f64,
     power: f64,
     scatter: f64,
     rows: f64,
     at_top: f64,
     spikes: f64,
+    /// Squares of the change of positions and of the logged velocities, and their product.
+    rates: [f64; 3],
     /// Of position and torque.
     rough: [Roughness; 2],
 }
@@ -216,6 +222,12 @@ impl Extremes {
         self.speed > MOVED.0 && high - low > MOVED.1
     }
 
+    /// Range of the change of positions over the logged velocities: noise of either enters one end alone.
+    fn rate_ratio(&self) -> Option<(f64, f64)> {
+        let [change, logged, product] = self.rates;
+        (product > 0.0 && self.moved()).then(|| (product / logged, change / product))
+    }
+
     /// RMS torque while the joint moves, N·m.
     fn rms(&self) -> f64 {
         (self.power / f64::max(self.rows, 1.0)).sqrt()
@@ -249,7 +261,16 @@ fn scan(path: &Path, robot: &Robot, extremes: &mut [Extremes]) -> Result<f64, Id
             sums.scatter += sums.rough[1].add(tau);
             if let [a, b] = &last[..] {
                 let qd = (q - a.q[joint]) / (row.t_s - a.t_s);
-                sums.speed = sums.speed.max(qd.abs());
+                if qd.abs() > sums.speed {
+                    (sums.speed, sums.fastest_s) = (qd.abs(), b.t_s);
+                }
+                for (sum, product) in sums.rates.iter_mut().zip([
+                    qd * qd,
+                    b.qd[joint] * b.qd[joint],
+                    qd * b.qd[joint],
+                ]) {
+                    *sum += product;
+                }
                 sums.power += tau * tau;
                 sums.rows += 1.0;
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
@@ -282,9 +303,10 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         } else {
             let (most, (low, high)) = (most(seen.position), joint.limits.position);
             format!(
-                "q{} reaches {most:.4} rad at {:.4} rad/s, its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg), or are the limits too low (--velocity-limits; range of the description)?",
+                "q{} reaches {most:.4} rad, and {:.4} rad/s at {:.3} s; its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg), does it jump there, or are the limits too low (--velocity-limits; range of the description)?",
                 number + 1,
                 seen.speed,
+                seen.fastest_s,
                 joint.limits.velocity
             )
         };
@@ -293,6 +315,10 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
     }
     if swapped {
         let text = "positions and torques are swapped: the torque is the smoother of the two";
+        judgement.find(true, text);
+        return;
+    }
+    if let Some(text) = rates(extremes) {
         judgement.find(true, text);
         return;
     }
@@ -330,4 +356,26 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
             }
         }
     }
+}
+
+/// Positions that change faster or slower than the logged velocities.
+fn rates(extremes: &[Extremes]) -> Option<String> {
+    let ratios = extremes.iter().enumerate();
+    let ratios = ratios.filter_map(|(joint, seen)| Some((joint + 1, seen.rate_ratio()?)));
+    let ratios: Vec<(usize, (f64, f64))> = ratios.collect();
+    let off = ratios
+        .iter()
+        .filter(|(_, (least, most))| *least > SOUND_RATE || *most < 1.0 / SOUND_RATE);
+    let off: Vec<_> = off.collect();
+    let (joint, (least, most)) = *off.first()?;
+    let ratio = (least * most).sqrt();
+    Some(if off.len() * 2 > ratios.len() {
+        format!(
+            "positions change {ratio:.2} times as fast as the velocities of the log say: are its times right (else rate_hz in --columns-from FILE), and the units (--units)?"
+        )
+    } else {
+        format!(
+            "positions of joint {joint} change {ratio:.2} times as fast as its velocities say, those of the others do not: which of the two has another scale?"
+        )
+    })
 }

@@ -1,0 +1,342 @@
+//! Logs: mistakes planted into a sound one, none of which yields a bank; ROS 2 bags of real arms, identified from and replayed
+//! as they are; and MCAP beside CSV: every tick, the same numbers, read back by this program and, where it is installed, by
+//! another reader.
+
+use crate::identification::{log, log_of};
+use crate::{assert_contains, directory, host_sim, json, number, refused, succeeds, text, write};
+use foretorque_workbench::robot::{Link, Robot};
+use nalgebra::{Matrix3, Vector3};
+use std::fs;
+use std::ops::Range;
+use std::path::Path;
+use std::process::Command;
+
+fn data(name: &str) -> String {
+    let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
+    format!("{bags}/{name}")
+}
+
+#[test]
+fn a_bag_gives_the_parameters_of_the_table_that_another_reader_made_of_it() {
+    let of_ur10 = "--motion-hz 20 --torque-hz 10 --columns coulomb-viscous+offset+load";
+    for (robot, bag, filters) in [
+        (data("ur10.toml"), "ur10", of_ur10),
+        // At 30 rows a second the cut-offs follow from the rows.
+        ("panda".to_owned(), "panda", ""),
+    ] {
+        let here = directory(&format!("bag-{bag}"));
+        let tables = ["db3", "csv.gz"].map(|kind| {
+            let log = data(&format!("{bag}.{kind}"));
+            let identify = format!("identify --robot {robot} --log {log} --methods wls {filters}");
+            succeeds(&here, &format!("{identify} --force --out out"));
+            let report = json(here.join("out/report.json"));
+            report["methods"]["wls"]["parameters"].to_string()
+        });
+        assert!(tables[0].len() > 1000);
+        assert_eq!(tables[0], tables[1], "{bag}");
+    }
+}
+
+#[test]
+fn bags_are_replayed_to_the_board_which_learns_them_without_harm_or_alarm() {
+    // Panda: 24 s at 30 Hz in 17 ticks a row. UR10: 27.5 s at 125 Hz in 4 ticks a row. The ends belong to the filters.
+    for (robot, bag, ticks) in [
+        ("panda".to_owned(), "panda", 10e3..12.4e3),
+        (data("ur10.toml"), "ur10", 13e3..13.8e3),
+    ] {
+        let here = directory(&format!("bag-replay-{bag}"));
+        let log = data(&format!("{bag}.db3"));
+        let replay = format!("replay --robot {robot} --log {log} --out out");
+        succeeds(&here, &replay);
+        let report = json(here.join("out/report.json"));
+        assert_eq!(report["robot"], bag);
+        assert_eq!(report["start"], "description");
+        let seen = number(&report["ticks_count"]);
+        assert!(ticks.contains(&seen), "{bag}: {seen}");
+        let worst = number(&report["worst_window_over_start_ratio"]);
+        assert!(worst < 0.5, "{bag}: {worst}");
+        assert!(number(&report["frozen_vs_rich_wls_ratio"]) > 1.0);
+        let decisions = report["decisions"].as_array().expect("a list");
+        let alarms = decisions.iter().filter(|own| own["reason"] == "alarm");
+        assert_eq!(alarms.count(), 0, "{bag}: {decisions:?}");
+    }
+}
+
+/// Compares FILE.mcap with FILE.csv column by column: prints the number of rows and of topics.
+const OUTSIDE: &str = include_str!("compare_mcap.py");
+
+#[test]
+fn a_run_is_written_as_mcap_with_every_tick_and_the_numbers_of_the_csv() {
+    let here = directory("mcap");
+    let run = "run --robot ur5 --trajectory validation --duration-s 3 --telemetry all/1 --out out";
+    succeeds(&here, run);
+    let check = |log: &str| {
+        let arguments = format!("identify --robot ur5 --log out/log.{log} --data-check");
+        let shown = String::from_utf8(host_sim(&here, &arguments).stdout).expect("text");
+        assert_contains(&shown, "joint 6");
+        shown.replace(&format!("log.{log}"), "log")
+    };
+    assert_eq!(check("csv"), check("mcap"));
+    let python = |arguments: &[&str]| {
+        let mut python = Command::new("python3");
+        let output = python.args(arguments).current_dir(&here).output();
+        output.ok().filter(|output| output.status.success())
+    };
+    if python(&["-c", "import mcap"]).is_none() {
+        return;
+    }
+    for (table, expected) in [("out/log", "3000 "), ("out/telemetry", "2999 ")] {
+        let output = python(&["-c", OUTSIDE, table]).expect("the tables agree");
+        let shown = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(shown.starts_with(expected), "{table}: {shown}");
+    }
+}
+
+/// One row: time, then positions, velocities, accelerations and torques of six joints.
+pub(crate) type Row = Vec<f64>;
+/// First columns of positions and torques.
+pub(crate) const Q: usize = 1;
+pub(crate) const TAU: usize = 19;
+
+/// The rows of a table after a change, as a table.
+pub(crate) fn planted(text: &str, change: &dyn Fn(&mut Vec<Row>)) -> String {
+    let mut lines = text.lines();
+    let header = lines.next().expect("header").to_owned();
+    let number = |field: &str| field.parse().expect("number");
+    let row = |line: &str| -> Row { line.split(',').map(number).collect() };
+    let mut rows: Vec<Row> = lines.map(row).collect();
+    change(&mut rows);
+    let write = |row: &Row| row.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+    let rows: Vec<String> = rows.iter().map(write).collect();
+    format!("{header}\n{}\n", rows.join("\n"))
+}
+
+/// A change of all rows of a log.
+pub(crate) type Change = Box<dyn Fn(&mut Vec<Row>)>;
+
+/// One change made to every row.
+pub(crate) fn each(change: impl Fn(&mut Row) + 'static) -> Change {
+    Box::new(move |rows| rows.iter_mut().for_each(&change))
+}
+
+#[test]
+fn each_planted_mistake_is_named_and_none_yields_a_bank() {
+    let here = directory("planted");
+    log(&here.join("good.csv"), 3000, 0.0, None, 0.05);
+    let good = text(here.join("good.csv"));
+    let swap = |a: usize, b: usize, width: usize| {
+        each(move |row: &mut Row| (0..width).for_each(|k| row.swap(a + k, b + k)))
+    };
+    let scale = |columns: Range<usize>, factor: f64| {
+        each(move |row| {
+            let values = row[columns.clone()].iter_mut();
+            values.for_each(|value| *value *= factor);
+        })
+    };
+    let noise = |rows: &mut Vec<Row>| {
+        let mut state = 1_u64;
+        for row in rows {
+            for tau in &mut row[TAU..] {
+                state = state.wrapping_mul(6_364_136_223_846_793_005);
+                state = state.wrapping_add(1);
+                *tau = (state >> 40) as f64 / f64::from(1 << 23) * 20.0 - 20.0;
+            }
+        }
+    };
+    let late = |rows: &mut Vec<Row>| {
+        let before = rows.clone();
+        for k in 0..rows.len() {
+            rows[k][TAU..].copy_from_slice(&before[k.saturating_sub(4)][TAU..]);
+        }
+    };
+    let all = TAU..TAU + 6;
+    let one = |joint: usize| TAU + joint - 1..TAU + joint;
+    let swapped_positions = each(|row| (0..3).for_each(|k| row.swap(Q + 6 * k, Q + 1 + 6 * k)));
+    let half_joint = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.5));
+    let turned_joint = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= -1.0));
+    let turned_axis = each(|row| (0..4).for_each(|k| row[Q + 6 * k + 1] *= -1.0));
+    let slow_rate = each(|row| row[Q + 6 + 2] *= 0.6);
+    let slow_time = each(|row| row[0] *= 3.0);
+    let swapped_joints = each(|row| {
+        let quantities = [0, 6, 12, 18].iter();
+        quantities.for_each(|k| row.swap(Q + 1 + k, Q + 2 + k));
+    });
+    let cases: [(Change, &str); 19] = [
+        (
+            scale(Q..Q + 18, 57.295_779_513),
+            "are these degrees (--units q=deg), does it jump there, or are the limits too low",
+        ),
+        (
+            scale(0..1, 1e3),
+            "s apart: are its times in ms (--units t=ms)?",
+        ),
+        (
+            scale(all.clone(), 0.0),
+            "are noise: they follow neither the motion nor gravity",
+        ),
+        (scale(all.clone(), 1e3), "is this mN·m (--units tau=mNm)?"),
+        (
+            scale(all, -1.0),
+            "is this a log that counts the other way (--units tau=-Nm or i=-A)?",
+        ),
+        (scale(one(3), -1.0), "torque of joint 3 has the wrong sign"),
+        (
+            swap(TAU + 1, TAU + 3, 1),
+            "torques of joints 2 and 4 are swapped",
+        ),
+        (swapped_positions, "positions of joints 1 and 2 are swapped"),
+        (
+            swapped_joints,
+            "positions and torques of joints 2 and 3 are swapped",
+        ),
+        (turned_joint, "positions of joint 3 count the other way"),
+        (
+            turned_axis,
+            "positions and torques of joint 2 count the other way",
+        ),
+        (slow_rate, "positions of joint 3 change 1.67 times as fast"),
+        (
+            slow_time,
+            "positions change 0.33 times as fast as the velocities",
+        ),
+        (
+            half_joint,
+            "positions of joint 3 have another scale: doubled",
+        ),
+        (swap(Q, TAU, 6), "positions and torques are swapped"),
+        (scale(one(4), 10.0), "torque of joint 4 is "),
+        (
+            scale(one(3), 1e3),
+            "those of the others are within theirs: drive gain or unit?",
+        ),
+        (Box::new(late), " ms behind the positions"),
+        (
+            Box::new(noise),
+            "are noise: they follow neither the motion nor gravity",
+        ),
+    ];
+    let judged = |words: &str| {
+        let identify = "identify --robot ur5 --log bad.csv --methods wls --out out";
+        refused(&here, identify, words);
+        assert!(!here.join("out/parameters.bank").exists(), "{words}");
+    };
+    for (change, words) in &cases {
+        write(here.join("bad.csv"), planted(&good, change.as_ref()));
+        judged(words);
+    }
+    let turned = planted(&good, scale(TAU..TAU + 6, -1.0).as_ref());
+    write(here.join("turned.csv"), turned);
+    let step = std::f64::consts::TAU / 4096.0;
+    let coarse = each(move |row| {
+        let values = row[Q..Q + 6].iter_mut();
+        values.for_each(|q| *q = (*q / step).round() * step);
+    });
+    write(here.join("coarse.csv"), planted(&good, coarse.as_ref()));
+    for sound in ["turned.csv --units tau=-Nm", "coarse.csv"] {
+        let identify = format!("identify --robot ur5 --log {sound} --data-check");
+        assert_contains(&succeeds(&here, &identify), "no finding that refuses");
+    }
+    let mut loaded = Robot::load("ur5").expect("built in");
+    let last = loaded.joints.last_mut().expect("six");
+    let hand = Link {
+        mass: 3.0,
+        com: loaded.flange.origin + loaded.flange.rot_parent_child * Vector3::new(0.0, 0.0, 0.06),
+        inertia_com: Matrix3::identity() * 0.005,
+    };
+    last.link = Link::lumped(&[last.link, hand]).expect("two");
+    log_of(&loaded, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
+    judged(" kg at the flange explains what the description does not");
+    let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
+    let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
+    log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
+    judged("another arm");
+    // The learner is not replayed on it either, but by force.
+    let replay = "replay --robot ur5 --log bad.csv --out replayed";
+    refused(&here, replay, "another arm");
+    succeeds(&here, &format!("{replay} --force"));
+    // A sound log of a plant that is not its description passes, and so does a refused one by force.
+    for (arguments, bank) in [
+        ("good.csv --methods wls", true),
+        ("bad.csv --methods wls", false),
+        ("bad.csv --methods wls --force", true),
+    ] {
+        let identify = format!("identify --robot ur5 --out out --log {arguments}");
+        host_sim(&here, &identify);
+        let written = here.join("out/parameters.bank").exists();
+        assert_eq!(written, bank, "{arguments}");
+    }
+}
+
+#[test]
+fn an_inaccurate_description_is_no_mistake() {
+    let here = directory("planted-none");
+    for seed in [1, 2] {
+        let plant = "--duration-s 15 --torque-noise 0.002 --out plant.csv";
+        let path = format!("--trajectory validation --seed {seed}");
+        succeeds(&here, &format!("simulate --robot ur5 {path} {plant}"));
+        let identify = "identify --robot ur5 --log plant.csv";
+        let stdout = succeeds(&here, &format!("{identify} --data-check"));
+        assert_contains(&stdout, "no finding that refuses a bank");
+        let wls = "--validate plant.csv --methods wls --out out";
+        let stdout = succeeds(&here, &format!("{identify} {wls}"));
+        assert_contains(&stdout, "holds what the training log");
+        assert_contains(&stdout, "torque error joint by joint, wls:");
+    }
+}
+
+#[test]
+fn columns_of_real_logs_are_read_in_another_way_by_no_description_however_poor() {
+    let here = directory("poor");
+    let data = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ur5-real");
+    let log = format!("{data}/Movement_No6_Acc_slow_Verify_Model.csv.gz");
+    for seed in 0..16_u32 {
+        let mut robot = Robot::load("ur5").expect("built in");
+        // Uniform from -1 to 1.
+        let mut draws =
+            (1..).map(|k| (4e4 * (f64::from(100 * seed + k) * 12.9).sin()).rem_euclid(1.0));
+        let mut draw = || 2.0 * draws.next().expect("endless") - 1.0;
+        for joint in &mut robot.joints {
+            joint.link.mass *= (0.5 * draw()).exp();
+            joint.link.com += 0.05 * Vector3::new(draw(), draw(), draw());
+            joint.link.inertia_com *= (0.7 * draw()).exp();
+            joint.drive.rotor_inertia *= (1.0 + draw()).max(0.0);
+        }
+        write(here.join("poor.toml"), robot.to_toml().expect("text"));
+        let judged = format!("identify --data-check --robot poor.toml --log {log}");
+        let output = host_sim(&here, &judged);
+        let text =
+            String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+        assert_contains(&text, "joint 6 ");
+        for reading in ["swapped", "another scale", "the other way"] {
+            assert!(!text.contains(reading), "seed {seed}: {text}");
+        }
+    }
+}
+
+#[test]
+fn a_sound_log_of_any_arm_is_refused_for_nothing() {
+    let here = directory("sound_logs");
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+    let files = fs::read_dir(robots).expect("robots");
+    for file in files.map(|file| file.expect("readable").path()) {
+        let described = Robot::load(&file.display().to_string()).expect("described");
+        // Without friction and rotors, as most URDF describe arms; the simulated arm has neither friction.
+        let mut bare = described.clone();
+        for joint in &mut bare.joints {
+            (joint.friction.viscous, joint.friction.coulomb) = (0.0, 0.0);
+            joint.drive.rotor_inertia = 0.0;
+        }
+        // With a friction that stands for none, as MJCF often has it.
+        let mut light = bare.clone();
+        for joint in &mut light.joints {
+            (joint.friction.viscous, joint.friction.coulomb) = (0.1, 0.01);
+        }
+        for (robot, seed) in [(&described, 1), (&bare, 17), (&light, 1)] {
+            write(here.join("arm.toml"), robot.to_toml().expect("text"));
+            let path = "--trajectory validation --duration-s 8 --robot arm.toml --out log.csv";
+            succeeds(&here, &format!("simulate {path} --seed {seed}"));
+            let identify = "identify --data-check --robot arm.toml --log log.csv";
+            succeeds(&here, identify);
+        }
+    }
+}
