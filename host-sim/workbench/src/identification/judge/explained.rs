@@ -26,7 +26,7 @@ pub(super) struct Explained {
     pub(super) rest: f64,
     /// Torque over that of the description's links.
     pub(super) scale: f64,
-    /// The same if all errors were those of the description's torque, as of noisy accelerations: regression the other way.
+    /// Likewise, with all errors in the description's torque, as those of noisy accelerations: the regression the other way.
     pub(super) scale_back: f64,
     pub(super) deviation: f64,
     /// Inertia beside that of the description's links, kg·m².

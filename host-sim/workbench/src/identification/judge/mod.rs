@@ -264,13 +264,9 @@ fn scan(path: &Path, robot: &Robot, extremes: &mut [Extremes]) -> Result<f64, Id
                 if qd.abs() > sums.speed {
                     (sums.speed, sums.fastest_s) = (qd.abs(), b.t_s);
                 }
-                for (sum, product) in sums.rates.iter_mut().zip([
-                    qd * qd,
-                    b.qd[joint] * b.qd[joint],
-                    qd * b.qd[joint],
-                ]) {
-                    *sum += product;
-                }
+                let logged = b.qd[joint];
+                let products = [qd * qd, logged * logged, qd * logged];
+                sums.rates = std::array::from_fn(|k| sums.rates[k] + products[k]);
                 sums.power += tau * tau;
                 sums.rows += 1.0;
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
