@@ -269,7 +269,7 @@ struct Held {
 impl Held {
     /// Runs of equal rows of a moving arm from which sensors count as slower than the log.
     const RUNS: usize = 20;
-    /// Share of the runs that has one of two neighbouring lengths: those of values that come back by chance scatter.
+    /// Share of the runs that has neighbouring lengths: those of values that come back by chance scatter.
     const ALIKE: f64 = 0.8;
 
     fn of(rows: &[LogRow]) -> Self {
@@ -277,11 +277,13 @@ impl Held {
         let mut runs: Vec<usize> = equal.map(<[LogRow]>::len).collect();
         runs.sort_unstable();
         let median = runs.get(runs.len() / 2).copied().unwrap_or(1);
+        let spread = 1 + median / 10;
         let alike = |least: usize| {
-            let alike = runs.iter().filter(|run| (least..=least + 1).contains(*run));
+            let lengths = least..=least + spread;
+            let alike = runs.iter().filter(|run| lengths.contains(run));
             alike.count() as f64 >= Self::ALIKE * runs.len() as f64
         };
-        let slower = runs.len() >= Self::RUNS && (alike(median) || alike(median - 1));
+        let slower = runs.len() >= Self::RUNS && (median - spread.min(median)..=median).any(alike);
         Self {
             times: if slower { median } else { 1 },
             last: None,
