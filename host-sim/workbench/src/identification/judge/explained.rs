@@ -9,8 +9,6 @@ use nalgebra::{DMatrix, DVector, Matrix5, Vector5};
 
 /// Fall of the sum of the logarithms of unexplained shares that proves another reading of the columns.
 const READING_EVIDENCE: f64 = 2.0;
-/// Largest unexplained share of the joints that it reads in another way.
-const READING_REST: f64 = 0.3;
 /// Most rows on which other readings are tried.
 const READING_ROWS: usize = 300;
 
@@ -147,92 +145,66 @@ struct Reading {
     states: Vec<Motion>,
     /// Column of each joint's torque, and its sign.
     torques: PerJoint<(usize, f64)>,
-    /// Joints whose columns it reads in another way.
-    joints: Vec<usize>,
 }
 
 /// Every other reading that is tried: two joints exchanged, and one joint that counts the other way or in another scale.
 fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
     let joints = extremes.len();
     let straight = PerJoint::from_fn(joints, |joint| (joint, 1.0));
-    let each = |change: &dyn Fn([PerJoint<f64>; 3]) -> [PerJoint<f64>; 3]| -> Vec<Motion> {
-        let changed = |state: &Motion| {
-            let [q, qd, qdd] = change([state.q, state.qd, state.qdd]);
-            Motion { q, qd, qdd }
-        };
-        states.iter().map(changed).collect()
+    let changed = |change: &dyn Fn(&mut PerJoint<f64>)| -> Vec<Motion> {
+        let mut changed = states.to_vec();
+        for Motion { q, qd, qdd } in &mut changed {
+            [q, qd, qdd].into_iter().for_each(change);
+        }
+        changed
     };
-    let moved: Vec<usize> = (0..joints)
-        .filter(|joint| extremes[*joint].moved())
-        .collect();
     let mut readings = Vec::new();
+    let mut read = |columns: String, otherwise: &str, states, torques| {
+        let text =
+            format!("{columns}: {otherwise} they follow the description, as they are they do not");
+        readings.push(Reading {
+            text,
+            states,
+            torques,
+        });
+    };
+    let moved = (0..joints).filter(|joint| extremes[*joint].moved());
+    let moved: Vec<usize> = moved.collect();
     for (place, &a) in moved.iter().enumerate() {
         for &b in &moved[place + 1..] {
             let mut swap = straight;
             swap.swap(a, b);
-            let exchanged = each(&|mut motion| {
-                motion.iter_mut().for_each(|own| own.swap(a, b));
-                motion
-            });
-            for (what, states, torques) in [
-                ("torques", states.to_vec(), swap),
-                ("positions", exchanged.clone(), straight),
-                ("positions and torques", exchanged, swap),
-            ] {
-                let text = format!(
-                    "{what} of joints {} and {} are swapped: exchanged they follow the description, as they are they do not",
-                    a + 1,
-                    b + 1
-                );
-                readings.push(Reading {
-                    text,
-                    states,
-                    torques,
-                    joints: vec![a, b],
-                });
-            }
+            let exchanged = changed(&|own| own.swap(a, b));
+            let are = format!("of joints {} and {} are swapped", a + 1, b + 1);
+            let (q, both) = (exchanged.clone(), exchanged);
+            read(format!("torques {are}"), "exchanged", states.to_vec(), swap);
+            read(format!("positions {are}"), "exchanged", q, straight);
+            read(
+                format!("positions and torques {are}"),
+                "exchanged",
+                both,
+                swap,
+            );
         }
-    }
-    for &joint in &moved {
         let mut turned = straight;
-        turned[joint].1 = -1.0;
-        let number = joint + 1;
-        let follow = "they follow the description, as they are they do not";
-        for (scale, torques, text) in [
-            (
-                -1.0,
-                straight,
-                format!("positions of joint {number} count the other way: turned {follow}"),
-            ),
-            (
-                -1.0,
-                turned,
-                format!(
-                    "positions and torques of joint {number} count the other way: turned {follow}"
-                ),
-            ),
-            (
-                0.5,
-                straight,
-                format!("positions of joint {number} have another scale: halved {follow}"),
-            ),
-            (
-                2.0,
-                straight,
-                format!("positions of joint {number} have another scale: doubled {follow}"),
-            ),
-        ] {
-            let scaled = |mut motion: [PerJoint<f64>; 3]| {
-                motion.iter_mut().for_each(|own| own[joint] *= scale);
-                motion
-            };
-            readings.push(Reading {
-                text,
-                states: each(&scaled),
-                torques,
-                joints: vec![joint],
-            });
-        }
+        turned[a].1 = -1.0;
+        let scaled = |scale: f64| changed(&|own| own[a] *= scale);
+        let count = format!("of joint {} count the other way", a + 1);
+        read(
+            format!("positions {count}"),
+            "turned",
+            scaled(-1.0),
+            straight,
+        );
+        read(
+            format!("positions and torques {count}"),
+            "turned",
+            scaled(-1.0),
+            turned,
+        );
+        let have = format!("positions of joint {} have another scale", a + 1);
+        read(have.clone(), "halved", scaled(0.5), straight);
+        read(have, "doubled", scaled(2.0), straight);
     }
     readings
 }
@@ -253,7 +225,7 @@ pub(super) fn other_reading(
         true => 3.0,
         false => 0.0,
     };
-    // Logarithms of the shares that a reading leaves unexplained, without and with the cost of the sizes, and the shares.
+    // Logarithms of the shares that a reading leaves unexplained, without and with the cost of the sizes.
     let judged = |states: &[Motion], torques: &PerJoint<(usize, f64)>| {
         let of_links = links(model, states);
         let joints = torques.iter().enumerate().map(|(joint, (place, sign))| {
@@ -264,20 +236,18 @@ pub(super) fn other_reading(
         let joints: Vec<Explained> = joints.collect();
         let left: f64 = joints.iter().map(left).sum();
         let sizes: f64 = joints.iter().map(size).sum();
-        let rests: Vec<f64> = joints.iter().map(|explained| explained.rest).collect();
-        ([left, left + sizes], rests)
+        [left, left + sizes]
     };
     let states: Vec<Motion> = rows.iter().map(|row| row.0).collect();
     let straight = PerJoint::from_fn(extremes.len(), |joint| (joint, 1.0));
-    let (own, _) = judged(&states, &straight);
+    let own = judged(&states, &straight);
     let mut best = (0.0, None);
     for reading in readings(&states, extremes) {
-        let (other, rests) = judged(&reading.states, &reading.torques);
+        let other = judged(&reading.states, &reading.torques);
         // Masses of a description may be wrong, and sizes alone are no evidence.
         let falls = [own[0] - other[0], own[1] - other[1]];
         let proves = falls.iter().all(|fall| *fall > READING_EVIDENCE);
-        let explained = |joint: &usize| rests[*joint] < READING_REST;
-        if proves && falls[1] > best.0 && reading.joints.iter().all(explained) {
+        if proves && falls[1] > best.0 {
             best = (falls[1], Some(reading.text));
         }
     }
