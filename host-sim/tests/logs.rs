@@ -197,7 +197,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         (slow_rate, "positions of joint 3 change 1.67 times as fast"),
         (
             slow_time,
-            "positions change 0.33 times as fast as the velocities",
+            "positions change 0.33 times as fast as the logged velocities",
         ),
         (
             half_joint,

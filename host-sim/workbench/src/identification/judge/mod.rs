@@ -367,11 +367,11 @@ fn rates(extremes: &[Extremes]) -> Option<String> {
     let ratio = (least * most).sqrt();
     Some(if off.len() * 2 > ratios.len() {
         format!(
-            "positions change {ratio:.2} times as fast as the velocities of the log say: are its times right (else rate_hz in --columns-from FILE), and the units (--units)?"
+            "positions change {ratio:.2} times as fast as the logged velocities: are the times right (else rate_hz in --columns-from FILE), and the units (--units)?"
         )
     } else {
         format!(
-            "positions of joint {joint} change {ratio:.2} times as fast as its velocities say, those of the others do not: which of the two has another scale?"
+            "positions of joint {joint} change {ratio:.2} times as fast as its logged velocities, those of the others do not: is the scale of one of the two wrong?"
         )
     })
 }
