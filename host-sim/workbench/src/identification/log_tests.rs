@@ -302,12 +302,12 @@ fn logs_that_do_not_fit_are_refused_by_name() {
         (
             "robot.parquet",
             String::new(),
-            "robot.parquet: parquet is not read; write CSV: python3",
+            "robot.parquet: .parquet is not read; convert it: python3",
         ),
         (
             "robot.bag",
             String::new(),
-            "robot.bag: a bag of ROS 1 is not read; convert it: rosbags-convert",
+            "robot.bag: .bag is not read; convert it: rosbags-convert",
         ),
         (
             "broken.db3",

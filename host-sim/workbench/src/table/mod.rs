@@ -142,6 +142,31 @@ pub(crate) fn is_compressed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "gz")
 }
 
+/// Kinds of logs that are not read, with the command that converts file F.
+const CONVERSIONS: [(&str, &str); 6] = [
+    (
+        "parquet",
+        "python3 -c \"import pandas as p; p.read_parquet('F').to_csv('F.csv', index=False)\"",
+    ),
+    ("bag", "rosbags-convert --src F.bag --dst F"),
+    (
+        "xlsx",
+        "python3 -c \"import pandas as p; p.read_excel('F').to_csv('F.csv', index=False)\"",
+    ),
+    (
+        "npy",
+        "python3 -c \"import pandas as p, numpy as n; p.DataFrame(n.load('F')).to_csv('F.csv', index=False)\"",
+    ),
+    (
+        "npz",
+        "python3 -c \"import pandas as p, numpy as n; p.concat([p.DataFrame(a).add_prefix(k) for k, a in n.load('F').items()], axis=1).to_csv('F.csv', index=False)\"",
+    ),
+    (
+        "mat",
+        "in MATLAB, writematrix([t q tau], 'F.csv'), and name the columns by --names",
+    ),
+];
+
 /// Files of a bag in the order of time; `None` for a file of another kind.
 fn bag_files(path: &Path) -> Result<Option<Vec<PathBuf>>, TableError> {
     let files = match path.is_dir() {
@@ -150,18 +175,12 @@ fn bag_files(path: &Path) -> Result<Option<Vec<PathBuf>>, TableError> {
     };
     for file in &files {
         let refused = |problem: &str| Err(TableError::at(file, None, problem));
-        match extension(file) {
+        let kind = extension(file);
+        if let Some((kind, way)) = CONVERSIONS.iter().find(|(known, _)| kind == Some(*known)) {
+            return refused(&format!(".{kind} is not read; convert it: {way}"));
+        }
+        match kind {
             Some("db3" | "mcap") => drop(fs::File::open(file).map_err(|error| at(file, error))?),
-            Some("parquet") => {
-                return refused(
-                    "parquet is not read; write CSV: python3 -c \"import pandas as p; p.read_parquet('F').to_csv('F.csv')\"",
-                );
-            }
-            Some("bag") => {
-                return refused(
-                    "a bag of ROS 1 is not read; convert it: rosbags-convert --src F.bag --dst F",
-                );
-            }
             _ if path.is_dir() => return refused("no .db3 or .mcap: decompress it"),
             _ => return Ok(None),
         }
