@@ -161,10 +161,16 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         let quantities = [0, 6, 12, 18].iter();
         quantities.for_each(|k| row.swap(Q + 1 + k, Q + 2 + k));
     });
-    let cases: [(Change, &str); 19] = [
+    let other_zero = each(|row| row[Q + 2] -= std::f64::consts::FRAC_PI_2);
+    let cut_off = each(|row| row[TAU + 1] = row[TAU + 1].clamp(-45.0, 45.0));
+    let frozen = each(|row| row[TAU + 4] = 1.5);
+    let wrong_row = |column: usize, value: f64| -> Change {
+        Box::new(move |rows: &mut Vec<Row>| rows[1500][column] = value)
+    };
+    let cases: [(Change, &str); 24] = [
         (
             scale(Q..Q + 18, 57.295_779_513),
-            "are these degrees (--units q=deg), does it jump there, or are the limits too low",
+            "are these degrees (--units q=deg, for all logs), does it jump there, or are the limits",
         ),
         (
             scale(0..1, 1e3),
@@ -174,7 +180,10 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             scale(all.clone(), 0.0),
             "are noise: they follow neither the motion nor gravity",
         ),
-        (scale(all.clone(), 1e3), "is this mN·m (--units tau=mNm)?"),
+        (
+            scale(all.clone(), 1e3),
+            "is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?",
+        ),
         (
             scale(all, -1.0),
             "is this a log that counts the other way (--units tau=-Nm or i=-A)?",
@@ -203,11 +212,22 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             half_joint,
             "positions of joint 3 have another scale: doubled",
         ),
+        (
+            other_zero,
+            "positions of joint 3 have another zero: with 90° more",
+        ),
+        (cut_off, "torque of joint 2 is cut off at "),
+        (frozen, "joint 5: its torque is always 1.5000 N·m"),
+        (wrong_row(Q + 2, -6.0), "q3 jumps at "),
+        (
+            wrong_row(TAU, 1e6),
+            "tau1 reaches 1000000.0 N·m at 7.500 s, its limit is 150 N·m: delete these rows",
+        ),
         (swap(Q, TAU, 6), "positions and torques are swapped"),
         (scale(one(4), 10.0), "torque of joint 4 is "),
         (
             scale(one(3), 1e3),
-            "those of the others are within theirs: drive gain or unit?",
+            "those of the others are within theirs; drive gain or unit?",
         ),
         (Box::new(late), " ms behind the positions"),
         (
@@ -246,6 +266,24 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     last.link = Link::lumped(&[last.link, hand]).expect("two");
     log_of(&loaded, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
     judged(" kg at the flange explains what the description does not");
+    for (gravity, words) in [
+        (
+            Vector3::new(0.0, 3.355, -9.218),
+            "gravity has another direction than in the description: with gravity_m_s2 = [0.0, 3.",
+        ),
+        (
+            Vector3::new(0.0, 0.0, 9.81),
+            "with gravity_m_s2 = [0.0, 0.0, 9.8] the torques follow it",
+        ),
+        (Vector3::zeros(), "the torques are without gravity"),
+    ] {
+        let hung = Robot {
+            gravity,
+            ..Robot::load("ur5").expect("built in")
+        };
+        log_of(&hung, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
+        judged(words);
+    }
     let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
     let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
     log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);

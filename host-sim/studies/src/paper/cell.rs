@@ -278,6 +278,8 @@ fn panels(layout: &Layout, states: &[State<JOINTS>]) -> Vec<Box<[f64]>> {
 /// A row with its torques, as measured and without outliers, N·m.
 fn row(state: &State<JOINTS>, panel: &[f64], [measured, clean]: [&[f64]; 2]) -> SampleRow {
     SampleRow {
+        // The paper's methods do not look at it.
+        t_s: 0.0,
         state: (*state).into(),
         tau: measured.into(),
         clean: clean.into(),

@@ -9,6 +9,8 @@ use nalgebra::DVector;
 /// One row of the bounded sample.
 #[derive(Clone, Debug)]
 pub struct SampleRow {
+    /// Time in its log, s.
+    pub t_s: f64,
     /// Motion.
     pub state: Motion,
     /// Filtered torque, N·m.
@@ -34,6 +36,7 @@ impl SampleRow {
         let joints = layout.joints();
         let values = |table: &[f64]| PerJoint::from(&table[row * joints..][..joints]);
         Self {
+            t_s: prepared.t_s[row],
             state,
             tau: values(&prepared.tau),
             clean: values(&prepared.clean),
@@ -204,6 +207,7 @@ pub(super) fn random_rows(
             let mut panel = Vec::new();
             layout.append_row(&state, 0.01 * row as f64, &mut scratch, &mut panel);
             let mut row = SampleRow {
+                t_s: 0.01 * row as f64,
                 state,
                 tau: PerJoint::repeat(6, 0.0),
                 clean: PerJoint::repeat(6, 0.0),

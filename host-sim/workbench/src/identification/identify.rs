@@ -3,7 +3,7 @@
 use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
-use super::judge::{Judgement, after_fit};
+use super::judge::{Judgement, after_fit, change};
 use super::methods::{Fit, MethodName, wls};
 use super::normal::CoggingAmplitudes;
 use super::prepare::PrepareConfig;
@@ -137,6 +137,9 @@ pub fn identify(
     }
     if let Some(fit) = study.results.iter().find_map(|result| result.fit.as_ref()) {
         after_fit(&mut judgement, robot, &layout, fit);
+    }
+    if let Some(text) = change(&layout, &dataset.sample.kept, &best.candidate) {
+        judgement.find(false, text);
     }
     let first = validate.first().map(|path| key_of(path, validate));
     let errors = |name: &str| {

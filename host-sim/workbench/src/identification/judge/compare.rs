@@ -1,9 +1,8 @@
 //! Torques of a log against those of the description: signs, sizes, noise.
 
-use super::explained::{Explained, explain, links, other_reading};
+use super::explained::{Explained, explain, links, other_reading, weight};
 use super::{
-    CENTRE_M, DEVIATIONS, Extremes, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE,
-    SOUND_SIZE,
+    DEVIATIONS, Extremes, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE, SOUND_SIZE,
 };
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
@@ -53,15 +52,26 @@ pub(super) fn compare(
         );
         return;
     }
-    if let Some(text) = other_reading(&model, robot, rows, extremes) {
+    if let Some(text) = other_reading(&bare, rows, extremes) {
         judgement.find(true, text);
         return;
     }
     for joint in &noise {
-        if extremes[*joint].torque == 0.0 {
+        if let Some(value) = extremes[*joint].constant() {
+            // Of a passive joint in free swing, inertia takes up gravity.
+            let power = |k: usize| {
+                of_links
+                    .iter()
+                    .map(|links| links[k][*joint].powi(2))
+                    .sum::<f64>()
+            };
+            let passive = value == 0.0 && power(0) < 0.25 * power(1);
             judgement.find(
-                false,
-                format!("joint {}: its torque is always zero", joint + 1),
+                !passive,
+                format!(
+                    "joint {}: its torque is always {value:.4} N·m, does the sensor work?",
+                    joint + 1
+                ),
             );
             continue;
         }
@@ -77,12 +87,7 @@ pub(super) fn compare(
         );
     }
     let sound = |joint: usize| own[joint].rest <= NOISE_SHARE;
-    let certain = |joint: usize| {
-        let mass: f64 = robot.joints[joint..].iter().map(|it| it.link.mass).sum();
-        let squares = of_links.iter().map(|links| links[1][joint].powi(2));
-        let gravity = (squares.sum::<f64>() / of_links.len() as f64).sqrt();
-        gravity > mass * robot.gravity.norm() * CENTRE_M
-    };
+    let certain = |joint: usize| weight(&bare, &of_links, joint) > 1.0;
     // Stiction alone carries a light joint at rest.
     let turned: Vec<usize> = (0..joints)
         .filter(|&joint| sound(joint) && (own[joint].heavy || extremes[joint].moved()))

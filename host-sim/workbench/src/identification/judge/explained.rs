@@ -1,16 +1,21 @@
 //! Torques as the description explains them, under the columns as they are read and under other readings: joints
-//! exchanged, and positions of another scale or direction.
+//! exchanged, positions of another scale, direction or zero, and gravity of another direction.
 
-use super::{Extremes, GRAVITY_SHARE, SOUND_SCALE};
+use super::{CENTRE_M, Extremes, GRAVITY_SHARE, SOUND_SCALE};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;
-use nalgebra::{DMatrix, DVector, Matrix5, Vector5};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix5, Vector3, Vector5};
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Fall of the sum of the logarithms of unexplained shares that proves another reading of the columns.
 const READING_EVIDENCE: f64 = 2.0;
 /// Most rows on which other readings are tried.
 const READING_ROWS: usize = 300;
+/// [`weight`] from which gravity tells the zero of a joint.
+const CERTAIN: f64 = 2.0;
+/// Part of gravity below which torques are without it.
+const WEIGHTLESS: f64 = 0.3;
 
 /// Fall of the logarithm of the unexplained share that proves a torque of the wrong sign.
 const SIGN_EVIDENCE: f64 = 1.0;
@@ -82,6 +87,14 @@ pub(super) fn links(model: &RigidBodies, states: &[Motion]) -> Vec<[PerJoint<f64
     states.iter().map(torques).collect()
 }
 
+/// Gravity torque of a joint over that of an error of the described centres of mass, in RMS.
+pub(super) fn weight(robot: &Robot, of_links: &[[PerJoint<f64>; 2]], joint: usize) -> f64 {
+    let mass: f64 = robot.joints[joint..].iter().map(|it| it.link.mass).sum();
+    let squares = of_links.iter().map(|links| links[1][joint].powi(2));
+    let gravity = (squares.sum::<f64>() / of_links.len() as f64).sqrt();
+    gravity / (mass * robot.gravity.norm() * CENTRE_M)
+}
+
 pub(super) fn explain(
     joint: usize,
     states: &[Motion],
@@ -128,7 +141,11 @@ pub(super) fn explain(
     let gravity = links.iter().map(|link| link[1][joint].powi(2)).sum::<f64>();
     Explained {
         // A torque that never changes follows nothing.
-        rest: if variance > 0.0 { rest / variance } else { 1.0 },
+        rest: if variance > 0.0 {
+            (rest / variance).min(1.0)
+        } else {
+            1.0
+        },
         scale: beta[0],
         scale_back: beta[0] + rest * inverse[(0, 0)] / beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),
@@ -145,10 +162,15 @@ struct Reading {
     states: Vec<Motion>,
     /// Column of each joint's torque, and its sign.
     torques: PerJoint<(usize, f64)>,
+    /// Gravity in the base frame, m/s², if it is not that of the description.
+    gravity: Option<Vector3<f64>>,
 }
 
-/// Every other reading that is tried: two joints exchanged, and one joint that counts the other way or in another scale.
-fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
+/// Other readings of the columns that are tried: two joints exchanged, and one joint that counts the other way, in another
+/// scale or from another zero.
+///
+/// * `weights` [`weight`] of the joints: an error of a light joint's centres of mass may turn its gravity by any angle
+fn readings(states: &[Motion], extremes: &[Extremes], weights: &[f64]) -> Vec<Reading> {
     let joints = extremes.len();
     let straight = PerJoint::from_fn(joints, |joint| (joint, 1.0));
     let changed = |change: &dyn Fn(&mut PerJoint<f64>)| -> Vec<Motion> {
@@ -166,6 +188,7 @@ fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
             text,
             states,
             torques,
+            gravity: None,
         });
     };
     let moved = (0..joints).filter(|joint| extremes[*joint].moved());
@@ -205,14 +228,97 @@ fn readings(states: &[Motion], extremes: &[Extremes]) -> Vec<Reading> {
         let have = format!("positions of joint {} have another scale", a + 1);
         read(have.clone(), "halved", scaled(0.5), straight);
         read(have, "doubled", scaled(2.0), straight);
+        for (angle, more) in [
+            (FRAC_PI_2, "90° more"),
+            (PI, "180° more"),
+            (-FRAC_PI_2, "90° less"),
+        ] {
+            if weights[a] < CERTAIN {
+                continue;
+            }
+            let mut moved = states.to_vec();
+            moved.iter_mut().for_each(|state| state.q[a] += angle);
+            let have = format!("positions of joint {} have another zero", a + 1);
+            read(have, &format!("with {more}"), moved, straight);
+        }
     }
     readings
 }
 
+/// Reading with the gravity that explains the torques best.
+///
+/// ```text
+/// tau = Σ_k g_k G_k(q) + s M(q) q̈ + …    G_k = torques under unit gravity along axis k of the base
+/// ```
+/// The three g_k are common to all joints; scale s of the torque of motion, friction, rotor and offset are each joint's own.
+fn other_gravity(
+    bare: &Robot,
+    states: &[Motion],
+    rows: &[&(Motion, PerJoint<f64>)],
+) -> Option<Reading> {
+    let along = |gravity: Vector3<f64>| {
+        let robot = Robot {
+            gravity,
+            ..bare.clone()
+        };
+        links(&RigidBodies::new(&robot), states)
+    };
+    let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(along);
+    let (mut gram, mut moment) = (Matrix3::zeros(), Vector3::zeros());
+    let joints = 0..bare.joint_count();
+    for joint in joints {
+        let own = DMatrix::from_fn(states.len(), 5, |row, column| {
+            let state = &states[row];
+            match column {
+                0 => axes[0][row][0][joint] - axes[0][row][1][joint],
+                1 => (state.qd[joint] / (5.0 * SIGN_WIDTH_RAD_S)).tanh(),
+                2 => state.qd[joint],
+                3 => state.qdd[joint],
+                _ => 1.0,
+            }
+        });
+        let common = DMatrix::from_fn(states.len(), 4, |row, column| match column {
+            3 => rows[row].1[joint],
+            axis => axes[axis][row][1][joint],
+        });
+        // What a joint's own columns explain is taken off.
+        let inverse = own.clone().pseudo_inverse(1e-9).ok()?;
+        let left = &common - &own * (inverse * &common);
+        let (x, y) = (left.columns(0, 3), left.column(3));
+        let weight = y.norm_squared();
+        if weight > 0.0 {
+            gram += x.tr_mul(&x) / weight;
+            moment += x.tr_mul(&y) / weight;
+        }
+    }
+    let found = gram.try_inverse()? * moment;
+    let (size, described) = (found.norm(), bare.gravity.norm());
+    let (gravity, text) = if size < WEIGHTLESS * described {
+        let text =
+            "the torques are without gravity: add what the drives or their software take off";
+        (Vector3::zeros(), text.to_owned())
+    } else {
+        let gravity = found * (described / size);
+        // Adding 0 takes the sign off a zero.
+        let [x, y, z] = gravity.map(|g| (10.0 * g).round() / 10.0 + 0.0).into();
+        let text = format!(
+            "gravity has another direction than in the description: with gravity_m_s2 = [{x:.1}, {y:.1}, {z:.1}] the torques follow it"
+        );
+        (gravity, text)
+    };
+    Some(Reading {
+        text,
+        states: states.to_vec(),
+        torques: PerJoint::from_fn(bare.joint_count(), |joint| (joint, 1.0)),
+        gravity: Some(gravity),
+    })
+}
+
 /// The reading of the columns that explains the torques far better than the one that was taken, if there is one.
+///
+/// * `bare` the description without rotors
 pub(super) fn other_reading(
-    model: &RigidBodies,
-    robot: &Robot,
+    bare: &Robot,
     rows: &[(Motion, PerJoint<f64>)],
     extremes: &[Extremes],
 ) -> Option<String> {
@@ -226,10 +332,10 @@ pub(super) fn other_reading(
         false => 0.0,
     };
     // Logarithms of the shares that a reading leaves unexplained, without and with the cost of the sizes.
-    let judged = |states: &[Motion], torques: &PerJoint<(usize, f64)>| {
+    let judged = |model: &RigidBodies, states: &[Motion], torques: &PerJoint<(usize, f64)>| {
         let of_links = links(model, states);
         let joints = torques.iter().enumerate().map(|(joint, (place, sign))| {
-            let limit = robot.joints[joint].limits.torque;
+            let limit = bare.joints[joint].limits.torque;
             let tau = |row: usize| sign * rows[row].1[*place];
             explain(joint, states, &of_links, limit, tau)
         });
@@ -240,10 +346,25 @@ pub(super) fn other_reading(
     };
     let states: Vec<Motion> = rows.iter().map(|row| row.0).collect();
     let straight = PerJoint::from_fn(extremes.len(), |joint| (joint, 1.0));
-    let own = judged(&states, &straight);
+    let described = RigidBodies::new(bare);
+    let own = judged(&described, &states, &straight);
     let mut best = (0.0, None);
-    for reading in readings(&states, extremes) {
-        let other = judged(&reading.states, &reading.torques);
+    let gravity = other_gravity(bare, &states, &rows);
+    let of_links = links(&described, &states);
+    let weights = (0..extremes.len()).map(|joint| weight(bare, &of_links, joint));
+    let weights: Vec<f64> = weights.collect();
+    for reading in readings(&states, extremes, &weights)
+        .into_iter()
+        .chain(gravity)
+    {
+        let model = reading.gravity.map(|gravity| {
+            RigidBodies::new(&Robot {
+                gravity,
+                ..bare.clone()
+            })
+        });
+        let model = model.as_ref().unwrap_or(&described);
+        let other = judged(model, &reading.states, &reading.torques);
         // Masses of a description may be wrong, and sizes alone are no evidence.
         let falls = [own[0] - other[0], own[1] - other[1]];
         let proves = falls.iter().all(|fall| *fall > READING_EVIDENCE);

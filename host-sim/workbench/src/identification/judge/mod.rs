@@ -9,7 +9,7 @@ mod explained;
 mod fitted;
 
 pub use fitted::unexplained;
-pub(super) use fitted::{after_fit, description};
+pub(super) use fitted::{after_fit, change, description};
 
 use super::IdentifyError;
 use super::clock::GAP_PERIODS;
@@ -47,11 +47,20 @@ const SOUND_SCALE: (f64, f64) = (0.4, 2.4);
 const CENTRE_M: f64 = 0.03;
 /// A torque with more than this share of its variance unexplained is noise.
 const NOISE_SHARE: f64 = 0.9;
+/// Share of the rows in which a torque is cut off that is noted, and that is refused.
+const CUT_SHARE: (f64, f64) = (0.01, 0.05);
+/// Time for which no sensor gives one value while its joint moves, s.
+const STUCK_S: f64 = 0.5;
+/// Largest share of rows that count as errors of single rows.
+const FEW: f64 = 0.01;
 /// Delay of the torque that is refused, and that is noted, s.
 const DELAY_S: (f64, f64) = (10e-3, 4e-3);
 /// Standard deviations from which an estimate counts; analytic ones are about 2.5 times too small.
 const DEVIATIONS: f64 = 5.0;
 const ANALYTIC: f64 = 2.5;
+
+/// Remedy for single rows that are wrong.
+const ROWS_REMEDY: &str = "delete these rows (up to four in a row are put in again)";
 
 /// One finding.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -116,9 +125,20 @@ impl Judgement {
 struct Extremes {
     position: (f64, f64),
     speed: f64,
-    /// Time of that speed, s.
+    /// Time of that speed, s, and steps beyond what the joint can do.
     fastest_s: f64,
+    fast: f64,
     torque: f64,
+    /// Time of that torque, s, and rows beyond what the joint can do.
+    strongest_s: f64,
+    strong: f64,
+    /// Torques are drive gain × current.
+    currents: bool,
+    /// Largest torques of either sign while the joint moves, and rows in which it does.
+    tops: [Top; 2],
+    moving: f64,
+    /// Longest time for which the torque of the moving joint did not change, and that which lasts, from … to, s.
+    stuck: [(f64, f64); 2],
     power: f64,
     scatter: f64,
     rows: f64,
@@ -128,6 +148,33 @@ struct Extremes {
     rates: [f64; 3],
     /// Of position and torque.
     rough: [Roughness; 2],
+}
+
+/// Largest value of a signal and the largest below it, and rows with each.
+#[derive(Clone, Copy, Default)]
+struct Top([(f64, f64); 2]);
+
+impl Top {
+    fn add(&mut self, value: f64) {
+        let [first, second] = &mut self.0;
+        if value > first.0 {
+            (*second, *first) = (*first, (value, 1.0));
+        } else if value == first.0 {
+            first.1 += 1.0;
+        } else if value > second.0 {
+            *second = (value, 1.0);
+        } else if value == second.0 {
+            second.1 += 1.0;
+        }
+    }
+
+    /// Value at which a signal of so many `rows` is cut off, with the share of the rows there. A signal of coarse steps has
+    /// rows at its second largest value, too.
+    fn cut(&self, rows: f64) -> Option<(f64, f64)> {
+        let [first, second] = self.0;
+        let share = first.1 / f64::max(rows, 1.0);
+        (share > CUT_SHARE.0 && first.1 > 10.0 * second.1).then_some((first.0, share))
+    }
 }
 
 /// Judges logs before anything is identified.
@@ -212,6 +259,7 @@ impl Extremes {
     fn none() -> Self {
         Self {
             position: (f64::INFINITY, f64::NEG_INFINITY),
+            tops: [Top([(f64::NEG_INFINITY, 0.0); 2]); 2],
             ..Self::default()
         }
     }
@@ -226,6 +274,12 @@ impl Extremes {
     fn rate_ratio(&self) -> Option<(f64, f64)> {
         let [change, logged, product] = self.rates;
         (product > 0.0 && self.moved()).then(|| (product / logged, change / product))
+    }
+
+    /// Torque that never changes while the joint moves, N·m.
+    fn constant(&self) -> Option<f64> {
+        let [(most, rows), _] = self.tops[0].0;
+        (rows > 0.0 && rows == self.moving).then_some(most)
     }
 
     /// RMS torque while the joint moves, N·m.
@@ -243,6 +297,10 @@ impl Extremes {
 fn scan(path: &Path, robot: &Robot, extremes: &mut [Extremes]) -> Result<f64, IdentifyError> {
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
+    let currents = log.reader.has_currents;
+    extremes
+        .iter_mut()
+        .for_each(|sums| sums.currents = currents);
     let mut last: Vec<LogRow> = Vec::new();
     let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
     rough.for_each(Roughness::pause);
@@ -254,15 +312,34 @@ fn scan(path: &Path, robot: &Robot, extremes: &mut [Extremes]) -> Result<f64, Id
         }
         for (joint, sums) in extremes.iter_mut().enumerate() {
             let (q, tau) = (row.q[joint], row.tau[joint]);
-            let limit = robot.joints[joint].limits.torque;
+            let limits = &robot.joints[joint].limits;
+            let limit = limits.torque;
             sums.position = (sums.position.0.min(q), sums.position.1.max(q));
-            sums.torque = sums.torque.max(tau.abs());
+            if tau.abs() > sums.torque {
+                (sums.torque, sums.strongest_s) = (tau.abs(), row.t_s);
+            }
+            sums.strong += f64::from(tau.abs() > BEYOND * limit);
             sums.rough[0].add(q);
             sums.scatter += sums.rough[1].add(tau);
             if let [a, b] = &last[..] {
                 let qd = (q - a.q[joint]) / (row.t_s - a.t_s);
                 if qd.abs() > sums.speed {
                     (sums.speed, sums.fastest_s) = (qd.abs(), b.t_s);
+                }
+                sums.fast += f64::from(qd.abs() > BEYOND * limits.velocity);
+                if qd.abs() > MOVED.0 {
+                    let [most, least] = &mut sums.tops;
+                    most.add(tau);
+                    least.add(-tau);
+                    sums.moving += 1.0;
+                }
+                let [longest, lasting] = &mut sums.stuck;
+                if qd.abs() <= MOVED.0 || tau != b.tau[joint] {
+                    *lasting = (row.t_s, row.t_s);
+                }
+                lasting.1 = row.t_s;
+                if lasting.1 - lasting.0 > longest.1 - longest.0 {
+                    *longest = *lasting;
                 }
                 let logged = b.qd[joint];
                 let products = [qd * qd, logged * logged, qd * logged];
@@ -272,6 +349,8 @@ fn scan(path: &Path, robot: &Robot, extremes: &mut [Extremes]) -> Result<f64, Id
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
                 sums.spikes += f64::from(jumps > (0.2 * limit).powi(2));
                 sums.at_top += f64::from(tau.abs() >= 0.995 * limit);
+            } else {
+                sums.stuck[1] = (row.t_s, row.t_s);
             }
         }
         if last.len() == 2 {
@@ -298,13 +377,25 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
             "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
         } else {
             let (most, (low, high)) = (most(seen.position), joint.limits.position);
-            format!(
-                "q{} reaches {most:.4} rad, and {:.4} rad/s at {:.3} s; its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg), does it jump there, or are the limits too low (--velocity-limits; range of the description)?",
-                number + 1,
-                seen.speed,
-                seen.fastest_s,
-                joint.limits.velocity
-            )
+            let fits = most <= BEYOND * low.abs().max(high.abs());
+            if fits && seen.fast <= 2.0 * FEW * seen.rows {
+                format!(
+                    "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {ROWS_REMEDY}, or are the limits too low (--velocity-limits)?",
+                    number + 1,
+                    seen.fastest_s,
+                    seen.speed,
+                    joint.limits.velocity,
+                    seen.fast
+                )
+            } else {
+                format!(
+                    "q{} reaches {most:.4} rad, and {:.4} rad/s at {:.3} s; its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg, for all logs), does it jump there, or are the limits too low (--velocity-limits; range of the description)?",
+                    number + 1,
+                    seen.speed,
+                    seen.fastest_s,
+                    joint.limits.velocity
+                )
+            }
         };
         judgement.find(true, text);
         return;
@@ -325,19 +416,44 @@ fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
         // One unit holds for all joints; their limits may be of different use.
         let unit = match thousandth {
-            true if strong.len() * 3 > extremes.len() => ": is this mN·m (--units tau=mNm)?",
-            true => ", those of the others are within theirs: drive gain or unit?",
-            false => "",
+            _ if seen.strong <= FEW * seen.rows => ROWS_REMEDY,
+            true if seen.currents => "are these mA (--units i=mA)?",
+            true if strong.len() * 3 > extremes.len() => {
+                "is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?"
+            }
+            true => "those of the others are within theirs; drive gain or unit?",
+            false => "drive gain, unit, or another arm?",
         };
         let text = format!(
-            "tau{} reaches {:.1} N·m, its limit is {} N·m{unit}",
+            "tau{} reaches {:.1} N·m at {:.3} s, its limit is {} N·m: {unit}",
             number + 1,
             seen.torque,
+            seen.strongest_s,
             joint.limits.torque
         );
         judgement.find(true, text);
     }
     for (number, (_, seen)) in joints() {
+        if seen.constant().is_some() {
+            continue;
+        }
+        let findings = judgement.findings.len();
+        for (top, sign) in seen.tops.iter().zip([1.0, -1.0]) {
+            if let Some((value, share)) = top.cut(seen.moving).filter(|(value, _)| *value != 0.0) {
+                let (value, percent) = (sign * value, 100.0 * share);
+                judgement.find(share > CUT_SHARE.1, format!(
+                    "torque of joint {} is cut off at {value:.4} N·m in {percent:.1} % of the rows in which it moves: a slower path, or cut these rows out",
+                    number + 1
+                ));
+            }
+        }
+        let [(from_s, to_s), _] = seen.stuck;
+        if judgement.findings.len() == findings && to_s - from_s > STUCK_S {
+            judgement.find(false, format!(
+                "torque of joint {} does not change from {from_s:.3} to {to_s:.3} s while it moves: did its sensor stop, or is it cut off? Leave these rows out",
+                number + 1
+            ));
+        }
         for (count, most, problem) in [
             (seen.spikes, 0.5, "spikes of the torque"),
             (seen.at_top, 1.0, "at its torque limit"),
