@@ -273,7 +273,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         ),
         (
             Vector3::new(0.0, 0.0, 9.81),
-            "with gravity_m_s2 = [0.0, 0.0, 9.8] the torques follow it",
+            "gravity has another direction than in the description: with gravity_m_s2 = [0.0, 0.",
         ),
         (Vector3::zeros(), "the torques are without gravity"),
     ] {
