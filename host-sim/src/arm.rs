@@ -5,6 +5,7 @@ use super::{Failure, not_negative, positive, unusable};
 use clap::Args;
 use foretorque_workbench::robot::{Joint, Robot};
 use foretorque_workbench::urdf::{Import, Selection};
+use std::path::{Path, PathBuf};
 
 /// Arm of a URDF, and values that take the place of the description's.
 #[derive(Clone, Debug, Default, PartialEq, Args)]
@@ -57,6 +58,11 @@ pub(super) struct RobotOptions {
 }
 
 impl RobotOptions {
+    /// Files of the description.
+    pub(super) fn files(&self) -> Vec<PathBuf> {
+        Robot::files(Path::new(&self.robot))
+    }
+
     pub(super) fn load(&self) -> Result<Robot, Failure> {
         self.arm.load(&self.robot)
     }

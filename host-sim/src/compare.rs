@@ -1,5 +1,5 @@
 use super::terminal::show;
-use super::{Failure, text_of, unusable};
+use super::{Failure, not_over, text_of, unusable};
 use clap::Args;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::report::page::{Page, Section};
@@ -26,6 +26,8 @@ pub(super) struct Arguments {
 const LONGEST: usize = 16;
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let files = [&arguments.a, &arguments.b].map(|path| report(path));
+    not_over(files, arguments.out.clone())?;
     let (a, b) = (read(&arguments.a)?, read(&arguments.b)?);
     let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
     keys.sort();
@@ -60,12 +62,17 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Figures and words of a report by their path in the file.
-fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
-    let file = match path.is_dir() {
+/// File of a report.
+fn report(path: &Path) -> PathBuf {
+    match path.is_dir() {
         true => path.join("report.json"),
         false => path.to_owned(),
-    };
+    }
+}
+
+/// Figures and words of a report by their path in the file.
+fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
+    let file = report(path);
     let report: Value = serde_json::from_str(&text_of(&file)?)
         .map_err(|error| unusable(format!("{}: no report: {error}", file.display())))?;
     let mut figures = BTreeMap::new();

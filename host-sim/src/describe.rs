@@ -1,10 +1,11 @@
 //! Descriptions of arms as files, and as modules of the firmware.
 
-use super::Failure;
 use super::arm::ArmOptions;
 use super::terminal::show;
+use super::{Failure, not_over};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::generate::write_arm_module;
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::urdf;
 use std::path::{Path, PathBuf};
 
@@ -81,6 +82,7 @@ pub(super) struct Generate {
 impl Generate {
     pub(super) fn run(&self) -> Result<(), Failure> {
         let robot = self.arm.load(&self.robot)?;
+        not_over(Robot::files(Path::new(&self.robot)), [self.out.clone()])?;
         let joints: Vec<&str> = robot.joints.iter().map(|j| j.name.as_str()).collect();
         write_arm_module(&robot, &self.out)?;
         let (out, name, count) = (self.out.display(), &robot.name, joints.len());

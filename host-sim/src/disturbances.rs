@@ -50,7 +50,7 @@ pub(super) struct DisturbanceArguments {
     late: f64,
     /// Effects of real drives: elastic gears, backlash, sticking, drifting sensors, delays (see docs/identification.md)
     #[arg(long, value_name = "FILE.toml")]
-    effects: Option<PathBuf>,
+    pub(super) effects: Option<PathBuf>,
 }
 
 /// Something from one time to another, s.

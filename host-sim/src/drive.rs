@@ -4,7 +4,7 @@ use super::bus::{Attended, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, show};
-use super::{Failure, bank, positive, unsupported, unusable};
+use super::{Failure, bank, not_over, positive, unsupported, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -22,7 +22,7 @@ use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S, VALIDATION_S};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Standard deviation of the torque that a simulated drive reports, as a share of the joint's limit.
 const REPORT_NOISE: f64 = 0.01;
@@ -92,6 +92,13 @@ struct Summary {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
     let robot = &arguments.arm.load(&profile.robot)?;
+    let read = Robot::files(Path::new(&profile.robot)).into_iter();
+    let read = read.chain([arguments.profile.clone(), (&arguments.trajectory).into()]);
+    let read = read
+        .chain(arguments.bank.clone())
+        .chain(arguments.disturbances.effects.clone());
+    let results = ["log.csv", "log.mcap", "drive.json", "bank.bin"];
+    not_over(read, within(&arguments.out, &results))?;
     on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))
 }
 
@@ -152,7 +159,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let period_s = 1.0 / profile.rate_hz;
         let mut set = ParameterSet::nominal::<A>(NETWORK_SEED);
         if let Some(file) = &arguments.bank {
-            let bank = bank::read(file)?;
+            let bank = bank::read_for(file, robot)?;
             set = bank.set::<A, N, P>()?;
             for (joint, bounds) in config.joints.iter_mut().zip(&bank.limits) {
                 joint.drive.torque_limit = joint.drive.torque_limit.min(bounds.torque_nm);

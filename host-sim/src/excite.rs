@@ -1,6 +1,6 @@
 use super::arm::{RobotOptions, with_rotors};
 use super::terminal::{Bar, show};
-use super::{Failure, finite, positive, text_of, unusable};
+use super::{Failure, finite, not_over, positive, text_of, unusable, within};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
 use foretorque_workbench::files::{WholeFile, write_whole};
@@ -55,6 +55,14 @@ pub(super) struct Arguments {
     threads: Option<NonZeroUsize>,
 }
 
+/// Files that are written.
+const RESULTS: [&str; 4] = [
+    "excitation.json",
+    "excitation.csv",
+    "excitation.html",
+    "excitation.svg",
+];
+
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum CriterionName {
     /// Condition number of the links' base regressor
@@ -88,6 +96,9 @@ impl From<CriterionName> for Criterion {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let files = arguments.robot.files().into_iter();
+    let files = files.chain(arguments.improve.clone());
+    not_over(files, within(&arguments.out, &RESULTS))?;
     let mut robot = with_rotors(&arguments.robot.load_coupled()?)?;
     let solid = robot.joints.iter().any(|joint| !joint.capsules.is_empty());
     let unchecked = match robot.coupling {

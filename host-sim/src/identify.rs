@@ -1,15 +1,16 @@
 use super::arm::RobotOptions;
 use super::logs::LogOptions;
 use super::terminal::{Lines, show};
-use super::{Failure, excite, not_negative, positive, sound, unusable};
+use super::{Failure, excite, not_negative, not_over, positive, sound, unusable, within};
 use clap::Args;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
-    ColumnSet, Finding, GainRecord, IdentifyConfig, Judgement, Layout, METHODS, MethodName,
-    Outcome, PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
+    ColumnSet, Finding, GainRecord, IdentifyConfig, IdentifyError, Judgement, Layout, METHODS,
+    MethodName, Outcome, PrepareConfig, bank_of_fit, identify, judge, page, unexplained,
+    with_gains,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::{or_dash, ratio};
@@ -24,7 +25,7 @@ use std::time::Duration;
 pub(super) struct Arguments {
     #[command(flatten)]
     pub(super) robot: RobotOptions,
-    /// Training log (CSV or CSV.gz); may be given several times
+    /// Training log (CSV, CSV.gz, ROS 2 bag, MCAP); may be given several times
     #[arg(long = "log", value_name = "FILE", required = true)]
     logs: Vec<PathBuf>,
     /// Log of an unseen path to validate on, by which the method for the bank is chosen; may be given several times
@@ -116,7 +117,31 @@ fn fold_period_s(arguments: &Arguments, robot: &Robot) -> Result<Option<f64>, Fa
     }
 }
 
+impl Arguments {
+    /// Errors: a result that would take the place of a file that is read; a training log that is given twice.
+    fn check_files(&self) -> Result<(), Failure> {
+        let logs = &self.logs;
+        let twice = (1..logs.len()).find(|&place| logs[..place].contains(&logs[place]));
+        if let Some(place) = twice {
+            let log = logs[place].display();
+            return Err(unusable(format!("--log {log} is given twice")));
+        }
+        let Some(out) = self.out.as_ref().filter(|_| !self.data_check) else {
+            return Ok(());
+        };
+        let truth = self.truth.iter().map(Path::new).flat_map(Robot::files);
+        let read = self.robot.files().into_iter().chain(truth);
+        let logs = [logs, &self.validate, &self.test].into_iter().flatten();
+        let read = read.chain(logs.cloned()).chain(self.excitation.clone());
+        not_over(
+            read.chain(self.columns_of_log.file()),
+            within(out, &RESULTS),
+        )
+    }
+}
+
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    arguments.check_files()?;
     let mut robot = arguments.robot.load_coupled()?;
     arguments.columns_of_log.apply(&mut robot)?;
     let mut drive_gains = Vec::new();
@@ -194,7 +219,12 @@ fn identify_arm(
     let judgement = judge(robot, &arguments.logs, &config.columns, &config.prepare)?;
     let out = match &arguments.out {
         Some(out) if !arguments.data_check => out,
-        _ => return show_check(&judgement),
+        _ => {
+            return show_check(
+                &judgement,
+                Layout::new(robot, &config.columns).parameters.len(),
+            );
+        }
     };
     if !arguments.force {
         let way = "no bank; --force identifies all the same";
@@ -208,10 +238,7 @@ fn identify_arm(
                 )
             })
         });
-        if judged.is_err() {
-            remove_stale(out, &RESULTS)?;
-            return judged;
-        }
+        judged?;
     }
     let bar = ProgressBar::new_spinner();
     // A template that does not parse would only cost the line its looks.
@@ -238,7 +265,10 @@ fn identify_arm(
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
     let bank = refused.map_or_else(|| bank(robot, &outcome), |_| None);
-    remove_stale(out, &RESULTS)?;
+    // Without a report beside them, files of these names are not of an earlier run.
+    if out.join("report.json").exists() {
+        remove_stale(out, &RESULTS)?;
+    }
     let shown = files.finish(report, &page(report, &outcome.trace))?;
     for note in &report.notes {
         show!("note  {note}")?;
@@ -333,8 +363,8 @@ fn newton_metres(joints: &[Option<f64>]) -> String {
 
 /// Prints the judgement of `--data-check`.
 ///
-/// Errors: the first finding that refuses.
-fn show_check(judgement: &Judgement) -> Result<(), Failure> {
+/// Errors: the first finding that refuses; logs that do not show all `parameters`.
+fn show_check(judgement: &Judgement, parameters: usize) -> Result<(), Failure> {
     show!("rows every {:.3} ms", 1e3 * judgement.period_s)?;
     for note in &judgement.notes {
         show!("note  {note}")?;
@@ -360,9 +390,17 @@ fn show_check(judgement: &Judgement) -> Result<(), Failure> {
     for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
         show!("warning  {}", finding.text)?;
     }
-    match judgement.findings.iter().find(|finding| finding.refuses) {
-        Some(finding) => Err(unusable(finding.text.clone())),
-        None => show!("no finding that refuses a bank"),
+    if let Some(finding) = judgement.findings.iter().find(|finding| finding.refuses) {
+        return Err(unusable(finding.text.clone()));
+    }
+    let unseen = &judgement.unseen;
+    match (unseen.len(), judgement.joints.is_empty()) {
+        (0, false) => show!("no finding that refuses a bank"),
+        (0, true) => Err(unusable("no joint moves")),
+        (count, _) => {
+            let rank = parameters - count;
+            Err(IdentifyError::RankDeficient(rank, parameters, unseen.clone()).into())
+        }
     }
 }
 
@@ -370,6 +408,23 @@ fn show_check(judgement: &Judgement) -> Result<(), Failure> {
 mod tests {
     use super::super::exit_code;
     use super::*;
+
+    #[test]
+    fn a_check_refuses_logs_that_do_not_show_all() {
+        let check = |unseen: &[&str]| {
+            let judgement = Judgement {
+                unseen: unseen.iter().map(|name| (*name).to_owned()).collect(),
+                ..Judgement::default()
+            };
+            show_check(&judgement, 9).expect_err("refused").to_string()
+        };
+        let refused = check(&["Fo4"]);
+        assert!(
+            refused.contains("(8 of 9): it does not show Fo4: --columns"),
+            "{refused}"
+        );
+        assert_eq!(check(&[]), "no joint moves");
+    }
 
     #[test]
     fn a_run_without_a_bank_fails() {

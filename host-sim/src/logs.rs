@@ -3,7 +3,7 @@
 use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::terminal::{Bar, SignalGuard, show};
-use super::{Failure, bank, positive, sound, unusable};
+use super::{Failure, bank, not_over, positive, sound, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, StartDeviations};
@@ -28,7 +28,7 @@ pub(super) struct LogOptions {
     /// Names of the columns of logs without a header row, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "LIST")]
     names: Vec<String>,
-    /// Units of the logs where they are not SI, such as q=deg,t=ms,tau=mNm
+    /// Units of all logs where they are not SI, such as q=deg,t=ms,tau=mNm: for --log, --validate and --test alike
     #[arg(long)]
     units: Option<Units>,
     /// Quantity in the torque columns: torque, current (times the drive gain) or motor (times gear_ratios of --columns-from)
@@ -37,6 +37,11 @@ pub(super) struct LogOptions {
 }
 
 impl LogOptions {
+    /// File of the columns, if one is named.
+    pub(super) fn file(&self) -> Option<PathBuf> {
+        self.columns_from.as_ref().map(PathBuf::from)
+    }
+
     /// Gives the robot the columns that were asked for, in the place of those of its description.
     ///
     /// Errors: a file that is no map.
@@ -149,6 +154,11 @@ impl Replay {
     pub(super) fn run(&self) -> Result<(), Failure> {
         let mut robot = self.robot.load()?;
         self.columns_of_log.apply(&mut robot)?;
+        let read = self.robot.files().into_iter().chain(self.logs.clone());
+        let read = read
+            .chain(self.bank.clone())
+            .chain(self.columns_of_log.file());
+        not_over(read, within(&self.out, &["report.json", "report.html"]))?;
         if !self.force {
             let logs: Vec<&Path> = self.logs.iter().map(PathBuf::as_path).collect();
             let prepare = PrepareConfig::for_logs(&logs, &robot)?;
@@ -164,7 +174,7 @@ impl Replay {
     ) -> Result<(), Failure> {
         let (mut set, mut deviations) = (ParameterSet::nominal::<A>(1), StartDeviations::PRIOR);
         if let Some(file) = &self.bank {
-            let bank = bank::read(file)?;
+            let bank = bank::read_for(file, robot)?;
             (set, deviations) = (bank.set::<A, N, P>()?, bank.start_deviations::<A, N, P>());
         }
         let name = |path: &Path| path.display().to_string();

@@ -101,14 +101,24 @@ fn text_of(path: &Path) -> Result<String, Failure> {
     Ok(fs::read_to_string(path).map_err(|error| at(path, error))?)
 }
 
-/// Refuses to write over what is read.
-fn not_over(input: &Path, out: &Path) -> Result<(), Failure> {
-    let one = |path: &Path| fs::canonicalize(path).ok();
-    if one(input).is_some_and(|input| one(out) == Some(input)) {
-        let name = out.display();
-        return Err(unusable(format!("--out {name} is the file that is read")));
-    }
-    Ok(())
+/// Refuses to write a file of `out` over one that is read.
+fn not_over(
+    read: impl IntoIterator<Item = PathBuf>,
+    out: impl IntoIterator<Item = PathBuf>,
+) -> Result<(), Failure> {
+    let one = |path: &PathBuf| fs::canonicalize(path).ok();
+    let read: Vec<PathBuf> = read.into_iter().filter_map(|path| one(&path)).collect();
+    let is_read = |path: &PathBuf| one(path).is_some_and(|path| read.contains(&path));
+    out.into_iter().find(is_read).map_or(Ok(()), |path| {
+        let name = path.display();
+        Err(unusable(format!("--out {name} is the file that is read")))
+    })
+}
+
+/// Paths of files in a directory.
+fn within<'n>(directory: &Path, names: &'n [&str]) -> impl Iterator<Item = PathBuf> + 'n {
+    let directory = directory.to_owned();
+    names.iter().map(move |name| directory.join(name))
 }
 
 /// A snapshot of the figures.

@@ -3,7 +3,7 @@ use super::boards::{BoardChoice, on_arm};
 use super::motion_log::MotionLog;
 use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
 use super::terminal::{self, Bar, show};
-use super::{Failure, bank, fitting, unusable};
+use super::{Failure, bank, fitting, not_over, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
@@ -71,6 +71,16 @@ pub(super) struct Arguments {
     out: PathBuf,
 }
 
+/// Files that a run writes.
+const RESULTS: [&str; 6] = [
+    "log.csv",
+    "log.mcap",
+    "report.json",
+    "report.html",
+    "bank.bin",
+    "telemetry.csv",
+];
+
 fn brake_range() -> clap::builder::RangedI64ValueParser<u16> {
     clap::value_parser!(u16).range(..=i64::from(Configuration::MAX_BRAKE_CLOSE_MS))
 }
@@ -85,6 +95,18 @@ fn tracking(text: &str) -> Result<f32, String> {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let robot = &arguments.robot.load()?;
+    let read = arguments
+        .robot
+        .files()
+        .into_iter()
+        .chain(arguments.motion.files());
+    let read = read
+        .chain(arguments.bank.clone())
+        .chain(arguments.key_file.clone());
+    not_over(
+        read,
+        within(&arguments.out, &RESULTS).chain(arguments.log.clone()),
+    )?;
     if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
         let board = &arguments.board;
         return Err(unusable(format!(
@@ -117,7 +139,8 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
     robot: &Robot,
 ) -> Result<(), Failure> {
-    let mut bank = arguments.bank.as_deref().map(bank::read).transpose()?;
+    let bank = arguments.bank.as_deref();
+    let mut bank = bank.map(|file| bank::read_for(file, robot)).transpose()?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
     let stream = arguments.stream();
     let mut board = arguments.board.connect::<A, N, P>(stream.as_deref())?;

@@ -11,7 +11,7 @@ use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::report::closed_loop::ClosedLoopLog;
 use foretorque_workbench::robot::{Joint, Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Let the simulated arm play a trajectory under PD control, and log its sensors
 #[derive(Debug, Args)]
@@ -44,8 +44,8 @@ pub(super) struct MotionArguments {
     /// Seed of plant, noise and validation path
     #[arg(long, default_value_t = 1)]
     pub(super) seed: u64,
-    /// Play this long, s; an excitation repeats, everything else ends by itself
-    #[arg(long, value_parser = positive)]
+    /// Play this long, s, at most 100000; an excitation repeats, everything else ends by itself
+    #[arg(long, value_parser = duration)]
     duration_s: Option<f64>,
     /// Bandwidth of the PD controller, Hz; at most 100
     #[arg(long, default_value_t = 6.0, value_parser = bandwidth)]
@@ -69,6 +69,17 @@ fn bandwidth(text: &str) -> Result<f64, String> {
     let limit = format!("must be at most {MOST_BANDWIDTH_HZ}");
     let hz = positive(text)?;
     (hz <= MOST_BANDWIDTH_HZ).then_some(hz).ok_or(limit)
+}
+
+/// Longest motion, s: every millisecond of it is a row.
+const MOST_DURATION_S: f64 = 1e5;
+
+fn duration(text: &str) -> Result<f64, String> {
+    let limit = format!("must be at most {MOST_DURATION_S}");
+    let duration_s = positive(text)?;
+    (duration_s <= MOST_DURATION_S)
+        .then_some(duration_s)
+        .ok_or(limit)
 }
 
 /// Argument for runs in trouble.
@@ -110,6 +121,14 @@ pub(super) struct Scene<const N: usize> {
 }
 
 impl MotionArguments {
+    /// Files that are read.
+    pub(super) fn files(&self) -> impl Iterator<Item = PathBuf> {
+        let trajectory = PathBuf::from(&self.trajectory);
+        [trajectory]
+            .into_iter()
+            .chain(self.disturbances.effects.clone())
+    }
+
     /// Plant, controller and trajectory.
     ///
     /// Errors: a file that is none, a trajectory of another robot, numbers that make no sense.
@@ -148,11 +167,15 @@ impl MotionArguments {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     keep_stdout_for(&arguments.out);
     let robot = arguments.robot.load_coupled()?;
+    let read = arguments.robot.files().into_iter();
+    not_over(
+        read.chain(arguments.motion.files()),
+        [arguments.out.clone()],
+    )?;
     joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
-    not_over(Path::new(&arguments.motion.trajectory), &arguments.out)?;
     let mut scene = arguments.motion.scene::<N>(robot)?;
     let gains = robot.joints.iter().map(Joint::gain);
     let gains = arguments.current.then(|| Joints::from_iterator(gains));

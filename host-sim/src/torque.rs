@@ -50,6 +50,13 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     super::terminal::keep_stdout_for(&arguments.out);
     let robot = &arguments.robot.load_coupled()?;
+    let files = [&arguments.input, &arguments.bank, &arguments.key_file];
+    let trajectory = arguments.trajectory.as_ref().map(PathBuf::from);
+    let files = files.into_iter().cloned().chain([trajectory]).flatten();
+    not_over(
+        arguments.robot.files().into_iter().chain(files),
+        [arguments.out.clone()],
+    )?;
     if robot.coupling.is_some() {
         return joints!(robot.joint_count(), N => coupled::<N>(arguments, robot), else Err(unsupported(robot.joint_count())));
     }
@@ -121,12 +128,8 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     arguments: &Arguments,
     robot: &Robot,
 ) -> Result<(), Failure> {
-    let files = [&arguments.input, &arguments.bank].map(|file| file.as_deref());
-    let trajectory = arguments.trajectory.as_deref().map(Path::new);
-    for read in files.into_iter().chain([trajectory]).flatten() {
-        not_over(read, &arguments.out)?;
-    }
-    let bank = arguments.bank.as_deref().map(bank::read).transpose()?;
+    let bank = arguments.bank.as_deref();
+    let bank = bank.map(|file| bank::read_for(file, robot)).transpose()?;
     let (timed, states) = arguments.states::<N>(robot)?;
     let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {

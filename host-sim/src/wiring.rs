@@ -1,14 +1,15 @@
 use super::arm::ArmOptions;
 use super::boards::on_arm;
 use super::terminal::show;
-use super::{Failure, unusable};
+use super::{Failure, not_over, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bus::{Role, Wires, Wiring};
 use foretorque_link::drives::Protocol;
 use foretorque_workbench::bus::{JointEntry, Profile};
 use foretorque_workbench::files::write_whole;
-use std::path::PathBuf;
+use foretorque_workbench::robot::Robot;
+use std::path::{Path, PathBuf};
 
 /// Write the drives of a profile as bytes for the flash of a board on their bus, the firmware `joint-can`
 #[derive(Debug, Args)]
@@ -43,6 +44,11 @@ enum RoleName {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
     let robot = &arguments.arm.load(&profile.robot)?;
+    let read = Robot::files(Path::new(&profile.robot)).into_iter();
+    not_over(
+        read.chain([arguments.profile.clone()]),
+        [arguments.out.clone()],
+    )?;
     on_arm!(robot, A, N, P => arguments.write::<A, N, P>(&profile))
 }
 

@@ -1,7 +1,7 @@
 //! Messages about unusable input, a terminal that hangs up, a board that dies, and a program that is ended: one line, no panic,
 //! nothing half written, no emulator left behind.
 
-use crate::{assert_contains, command, directory, failure, soon, still, succeeds, write};
+use crate::{assert_contains, command, directory, failure, refused, soon, still, succeeds, write};
 use foretorque_workbench::board::qemu::Image;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
 use nix::unistd::Pid;
@@ -76,6 +76,11 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("speed.csv", table(set(2, 9, "1"))),
         ("hard.csv", table(set(3, 18, "10.5"))),
         ("series.json", "{\"robot\": \"ur5\"".to_owned()),
+        ("report.json", table(|rows| with_torques(rows))),
+        ("log.csv", table(|_| {})),
+        ("excitation.json", "{}".to_owned()),
+        ("robot.toml", "from = \"ur5\"".to_owned()),
+        ("over.toml", "from = \"robot.toml\"".to_owned()),
         ("file", String::new()),
         ("bank.bin", "no bank at all".to_owned()),
     ] {
@@ -200,6 +205,19 @@ fn results_of_an_earlier_run_do_not_stay() {
     for stale in ["robot.toml", "robot.urdf"] {
         assert!(!here.join("out").join(stale).exists(), "{stale}");
     }
+    let bank = || fs::read(here.join("out/parameters.bank")).ok();
+    let before = bank().expect("a bank");
+    let wrong = "identify --robot ur5 --log log.csv --units tau=-Nm --out out";
+    refused(&here, wrong, "--force");
+    assert_eq!(bank(), Some(before), "a refused run removes nothing");
+    fs::create_dir(here.join("other")).expect("creates");
+    write(here.join("other/robot.urdf"), "no result".to_owned());
+    let line = "identify --robot ur5 --log log.csv --methods wls --out other";
+    succeeds(&here, line);
+    assert!(here.join("other/robot.urdf").exists(), "no result of ours");
+    let torque = "torque --robot ur5 --name bigger --trajectory validation --out t.csv";
+    let told = succeeds(&here, &format!("{torque} --bank out/parameters.bank"));
+    assert_contains(&told, "bank of arm 'ur5', the robot is 'bigger'");
     let compared = succeeds(&here, "compare out out --out c.html");
     assert_eq!(compared, "no figure differs\n");
     assert_contains(&succeeds(&here, "completions bash"), "complete");

@@ -8,7 +8,7 @@ use crate::Refusal;
 use crate::urdf::{self, Import, Selection};
 use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Key that makes a description an overlay.
@@ -39,6 +39,24 @@ struct OverlayJoint<'a> {
 }
 
 impl Robot {
+    /// The file of a description, and after an overlay the one that it completes, at most one more than `CHAIN`.
+    pub fn files(path: &Path) -> Vec<PathBuf> {
+        let mut files = vec![path.to_owned()];
+        while files.len() <= CHAIN {
+            let text = files
+                .last()
+                .and_then(|path| std::fs::read_to_string(path).ok());
+            let table = text.and_then(|text| text.parse::<Table>().ok());
+            let from = table.as_ref().and_then(|table| table.get(FROM)?.as_str());
+            let next = from
+                .zip(files.last())
+                .map(|(from, path)| path.with_file_name(from));
+            let Some(next) = next else { break };
+            files.push(next);
+        }
+        files
+    }
+
     /// An overlay on `from` that says of every drive, friction and limit what this robot has: a start for values of one's own.
     ///
     /// * `selection` by which this robot was read
@@ -99,7 +117,7 @@ pub(super) fn read(
         link_mass: selection.link_mass.or(overlay.link_mass_kg),
     };
     let beside = Path::new(path).with_file_name(&overlay.from);
-    if has_no_end(&beside) {
+    if Robot::files(&beside).len() > CHAIN {
         let problem = format!("the files that it names lead to no description in {CHAIN} steps");
         return Err(field(FROM, problem));
     }
@@ -115,20 +133,6 @@ pub(super) fn read(
 
 /// Longest chain of overlays.
 const CHAIN: usize = 16;
-
-/// Every file from `path` on is an overlay of the next one: two of them name each other.
-fn has_no_end(path: &Path) -> bool {
-    let mut path = path.to_owned();
-    (0..CHAIN).all(|_| {
-        let table = std::fs::read_to_string(&path).map(|text| text.parse::<Table>());
-        let from = table.ok().and_then(Result::ok);
-        let from = from.as_ref().and_then(|table| table.get(FROM)?.as_str());
-        from.is_some_and(|from| {
-            path.set_file_name(from);
-            true
-        })
-    })
-}
 
 /// `robot` with the values of `overlay`.
 fn merged(
