@@ -62,7 +62,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             read(&arguments.file)?;
         }
         let robot = &arguments.arm.load(robot)?;
-        let found: Result<_, Failure> = on_arm!(robot, A, N, P => arguments.exchange::<A, N, P>());
+        let found: Result<_, Failure> =
+            on_arm!(robot, A, N, P => arguments.exchange::<A, N, P>(robot));
         if let Some((live, stored)) = found? {
             return differences(&live, &stored);
         }
@@ -74,6 +75,7 @@ impl Arguments {
     /// Sends the bank to the board, or brings it; live and stored bank where their difference is wanted.
     fn exchange<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
+        robot: &Robot,
     ) -> Result<Option<(ParameterBank, ParameterBank)>, Failure> {
         let Some(board) = &self.board else {
             return Ok(None);
@@ -83,7 +85,7 @@ impl Arguments {
             board.set_write_key(read_key(file)?);
         }
         let Some(source) = self.read else {
-            board.upload_bank(&read(&self.file)?)?;
+            board.upload_bank(&read_for(&self.file, robot)?)?;
             if self.save {
                 board.save()?;
             }
@@ -173,6 +175,16 @@ pub(super) fn read(path: &Path) -> Result<ParameterBank, Failure> {
         .and_then(|file| file.take(LARGEST + 1).read_to_end(&mut bytes))
         .map_err(|error| at(path, error))?;
     ParameterBank::decode(&bytes).map_err(|error| unusable(format!("{}: {error}", path.display())))
+}
+
+/// A bank for a robot from its file, with a note where its arm has another name.
+pub(super) fn read_for(path: &Path, robot: &Robot) -> Result<ParameterBank, Failure> {
+    let bank = read(path)?;
+    if bank.arm.as_str() != robot.name {
+        let (path, arm, own) = (path.display(), &bank.arm, &robot.name);
+        show!("note: {path} is a bank of arm '{arm}', the robot is '{own}'; geometry decides")?;
+    }
+    Ok(bank)
 }
 
 /// The bytes of a bank file.

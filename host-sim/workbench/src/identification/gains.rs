@@ -3,6 +3,7 @@
 use super::log::LogReader;
 use super::record::GainRecord;
 use super::{IdentifyError, refused};
+use crate::Refusal;
 use crate::dynamics::{PerJoint, RigidBodies};
 use crate::robot::Robot;
 use crate::table::TableError;
@@ -25,13 +26,21 @@ struct Stand {
 
 /// The robot with drive gains from standstill, and their records.
 ///
-/// Errors: of the logs; a log without currents.
+/// Errors: of the logs; a log without currents; a gain that neither standstill nor the description gives.
 pub fn with_gains(
     robot: &Robot,
     logs: &[PathBuf],
     still_rad_s: f64,
 ) -> Result<(Robot, Vec<GainRecord>), IdentifyError> {
     let gains = standstill_gains(robot, logs, still_rad_s)?;
+    if let Some(joint) = gains.iter().position(|own| own.gain_nm_a.is_none()) {
+        let problem = format!(
+            "standstill does not show the gain of joint {}: give --drive-gains, or a log that stands still in {FEWEST} poses at least",
+            joint + 1
+        );
+        let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
+        return Err(Refusal::of(names.join(", "), problem).into());
+    }
     let mut robot = robot.clone();
     for (joint, record) in robot.joints.iter_mut().zip(&gains) {
         joint.drive.gain = record.gain_nm_a;

@@ -3,8 +3,9 @@
 use super::log_search::{has, is_there, joint_places, likeness, no_columns, no_times};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
-use crate::table::{Rows, TableError, Topics};
+use crate::table::{Remedies, Rows, TableError, Topics};
 use std::f64::consts::TAU;
+use std::fs;
 use std::path::Path;
 
 /// One instant of a log, as measured.
@@ -43,6 +44,18 @@ pub(super) struct LogReader {
     coupling: Option<(Coupling, bool)>,
     /// Remarks on the columns.
     pub(super) notes: Vec<String>,
+}
+
+/// Remedy for a field that is no number, in a log with times.
+fn of_field(text: &str) -> &'static str {
+    match text.contains(|c: char| c.is_ascii_digit()) {
+        false => ": delete such rows: up to four in a row are interpolated, more split the log",
+        // A date.
+        true if text.contains(':') => {
+            ": write seconds, with pandas (t - t[0]).dt.total_seconds(), or give rate_hz in --columns-from FILE"
+        }
+        true => "",
+    }
 }
 
 /// Times of the rows.
@@ -93,14 +106,19 @@ impl LogReader {
     ///
     /// Errors: [`TableError`] of the header.
     pub(super) fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
+        let is_other = |kind: fs::Metadata| !kind.is_file() && !kind.is_dir();
+        if fs::metadata(path).is_ok_and(is_other) {
+            let problem = "a pipe or device, and logs are read several times: write a file";
+            return Err(TableError::at(path, None, problem));
+        }
         let joints = robot.joint_count();
         let given = robot.log_columns.clone().unwrap_or_default();
         let topics = Topics {
             named: given.topic.as_deref(),
             likeness: &|names| likeness(names, given.q_rad.as_ref(), robot),
         };
-        let rows = Rows::named(path, &given.names, &topics)?;
-        let own = ["q1_rad", "q2_rad", "tau1_nm", "i1_a"];
+        let mut rows = Rows::named(path, &given.names, &topics)?;
+        let own = ["q0_rad", "q1_rad", "q2_rad", "tau1_nm", "i1_a"];
         let own = given.source.is_none() && own.iter().any(|name| has(&rows, name));
         let mut notes = rows.notes.clone();
         let named = |map: &LogColumns| match &map.q_rad {
@@ -111,16 +129,28 @@ impl LogReader {
         let (map, mapped) = if own || by_map {
             (given.clone(), by_map)
         } else {
-            let known = LogColumns::known();
-            let Some((source, map)) = known.into_iter().find(|(source, map)| {
+            let mut known = LogColumns::known();
+            known.retain(|(source, map)| {
                 given.source.as_ref().is_none_or(|wanted| wanted == source) && named(map)
-            }) else {
+            });
+            let is_timed = |map: &LogColumns| {
+                let names = [&given.t_s, &map.t_s].into_iter().flatten();
+                let mut names = names.map(String::as_str).chain(["t_s"]);
+                given.rate_hz.is_some() || names.any(|name| has(&rows, name))
+            };
+            let Some(first) = known.first() else {
                 return Err(no_columns(&rows, robot));
             };
+            let found = known.iter().find(|(_, map)| is_timed(map));
+            let (source, map) = found.unwrap_or(first).clone();
             notes.push(format!("{}: columns of {source}", path.display()));
             let effort = given.effort.or(map.effort);
             let (gear_ratios, all_units) = (given.gear_ratios.clone(), given.all_units.clone());
+            let t_s = given.t_s.clone();
+            let t_s = t_s.filter(|name| given.required || has(&rows, name));
             let map = LogColumns {
+                t_s: t_s.or(map.t_s.filter(|_| given.rate_hz.is_none())),
+                rate_hz: given.rate_hz,
                 effort,
                 gear_ratios,
                 all_units,
@@ -129,7 +159,6 @@ impl LogReader {
             };
             (map, true)
         };
-        let missing = |column: &str| TableError::missing(path, column);
         let own_units = map.all_units.clone().unwrap_or_default().scale;
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
         let map_units = map_units.cloned().unwrap_or_default().scale;
@@ -143,12 +172,19 @@ impl LogReader {
                 let problem = format!("rate_hz is {hz}, no number of rows a second");
                 return Err(TableError::at(path, None, problem));
             }
-            (None, Some(name), own) if map.required || own.is_none() || has(&rows, name) => {
+            (None, Some(name), _) if map.required || has(&rows, name) => {
                 Time::Column(rows.require(name)?, map_units[0])
             }
             (None, _, Some(place)) => Time::Column(place, own_units[0]),
-            (None, _, None) => return Err(no_times(path)),
+            (None, name, None) => return Err(no_times(&rows, name.as_deref())),
         };
+        if let Time::Column(..) = time {
+            rows.remedies = Remedies {
+                of_field,
+                same: "rows that are written twice: keep one of each; coarse stamps of even rows: leave t_s out and give rate_hz in --columns-from FILE",
+                back: "sort the rows by time, or cut the log here",
+            };
+        }
         let quantity = |unit: usize, name, names: &Option<ColumnNames>| {
             let found = joint_places(&rows, name, (names.as_ref(), map.required), robot)?;
             Ok::<_, TableError>(found.map(|(places, own)| Columns {
@@ -156,7 +192,7 @@ impl LogReader {
                 scale: PerJoint::repeat(joints, if own { own_units } else { map_units }[unit]),
             }))
         };
-        let q = quantity(1, ("q", "rad"), &map.q_rad)?.ok_or_else(|| missing("q1_rad"))?;
+        let q = quantity(1, ("q", "rad"), &map.q_rad)?.ok_or_else(|| rows.missing("q1_rad"))?;
         let qd = quantity(2, ("qd", "rad_s"), &map.qd_rad_s)?;
         let qdd = quantity(3, ("qdd", "rad_s2"), &map.qdd_rad_s2)?;
         let torque = quantity(4, ("tau", "nm"), &map.tau_nm)?;
@@ -166,7 +202,7 @@ impl LogReader {
         };
         let mut tau = match torque {
             Some(tau) => tau,
-            None => quantity(5, ("i", "a"), &map.i_a)?.ok_or_else(|| missing("tau1_nm"))?,
+            None => quantity(5, ("i", "a"), &map.i_a)?.ok_or_else(|| rows.missing("tau1_nm"))?,
         };
         for (joint, scale) in tau.scale.iter_mut().enumerate() {
             *scale *= match effort {

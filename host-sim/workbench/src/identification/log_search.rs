@@ -3,7 +3,6 @@
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
 use crate::table::{Rows, TableError};
-use std::path::Path;
 
 /// The log has a column of that name, or several.
 pub(super) fn has(rows: &Rows, name: &str) -> bool {
@@ -77,7 +76,9 @@ pub(super) fn joint_places(
 ) -> Result<Option<(PerJoint<usize>, bool)>, TableError> {
     let joints = robot.joint_count();
     let joint_name = |joint: usize| robot.joints.get(joint).map_or("", |own| own.name.as_str());
-    let own = |joint: usize| Some(format!("{name}{}_{unit}", joint + 1));
+    let numbered = |number: usize| format!("{name}{number}_{unit}");
+    let from_0 = has(rows, &numbered(0)) && !has(rows, &numbered(joints));
+    let own = |joint: usize| Some(numbered(joint + usize::from(!from_0)));
     let foreign = |joint: usize| mapped?.of(joint, joint_name(joint));
     let any = |name: &dyn Fn(usize) -> Option<String>| {
         let mut names = (0..=joints).filter_map(name);
@@ -91,7 +92,7 @@ pub(super) fn joint_places(
             let found = renamed(rows, mapped, robot)?;
             if let (None, true, Some(_)) = (&found, required, mapped) {
                 let problem = format!("{name} has one column for all joints: write {{}}");
-                let first = foreign(0).ok_or_else(|| TableError::at(&rows.path, 1, problem))?;
+                let first = foreign(0).ok_or_else(|| rows.header_error(problem))?;
                 rows.require(&first)?;
             }
             return Ok(found.map(|found| (found, false)));
@@ -107,7 +108,7 @@ pub(super) fn joint_places(
     for (joint, column) in columns.iter_mut().enumerate() {
         let Some(name) = chosen(joint) else {
             let problem = format!("{joint} names of columns for {joints} joints");
-            return Err(TableError::at(&rows.path, 1, problem));
+            return Err(rows.header_error(problem));
         };
         *column = rows.require(&name)?;
     }
@@ -138,7 +139,7 @@ fn renamed(
                 there.join(", "),
                 ours.join(", ")
             );
-            return Err(TableError::at(&rows.path, 1, problem));
+            return Err(rows.header_error(problem));
         };
         *column = rows.require(&mapped.of(0, there[place]).unwrap_or_default())?;
     }
@@ -146,9 +147,11 @@ fn renamed(
 }
 
 /// The error of a log without times.
-pub(super) fn no_times(path: &Path) -> TableError {
-    let problem = "column t_s is missing: name it by t_s, or give the rows a second by rate_hz, in --columns-from FILE";
-    TableError::at(path, 1, problem)
+pub(super) fn no_times(rows: &Rows, name: Option<&str>) -> TableError {
+    let name = name.unwrap_or("t_s");
+    rows.header_error(format!(
+        "column {name} is missing: name it by t_s, or give the rows a second by rate_hz, in --columns-from FILE"
+    ))
 }
 
 /// The error of a log without known columns: its header, and the lines of a map with what can be guessed.
@@ -158,11 +161,12 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     let joints = robot.joint_count();
     let mut families: Vec<String> = Vec::new();
     for name in header {
-        for (first, mark) in [("0", "{0}"), ("1", "{1}")] {
+        let joint_name = |joint: usize| robot.joints[joint].name.as_str();
+        for (first, mark) in [("0", "{0}"), ("1", "{1}"), (joint_name(0), "{name}")] {
             for (at, _) in name.match_indices(first) {
-                let pattern = format!("{}{mark}{}", &name[..at], &name[at + 1..]);
+                let pattern = format!("{}{mark}{}", &name[..at], &name[at + first.len()..]);
                 let names = ColumnNames::Pattern(pattern.clone());
-                let column = |joint| names.of(joint, "").unwrap_or_default();
+                let column = |joint| names.of(joint, joint_name(joint)).unwrap_or_default();
                 if (0..joints).all(|joint| header.contains(&column(joint))) {
                     families.push(pattern);
                 }
@@ -179,7 +183,7 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     };
     let time = |name: &&String| {
         let name = name.to_lowercase();
-        name == "t" || name.contains("time") || name.contains("stamp")
+        name == "t" || name.starts_with("t_") || name.contains("time") || name.contains("stamp")
     };
     let time = match header.iter().find(time) {
         Some(name) => format!("t_s = \"{name}\""),
@@ -198,7 +202,7 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
          {time}\nq_rad = \"{q}\"\ntau_nm = \"{tau}\"",
         LOG_SOURCES.join(", ")
     );
-    TableError::at(&rows.path, 1, problem)
+    rows.header_error(problem)
 }
 
 #[cfg(test)]

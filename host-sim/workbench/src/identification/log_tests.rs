@@ -114,6 +114,9 @@ fn every_source_gives_the_same_rows() {
         "{name}_joint/velocity",
         "{name}_joint/effort",
     ];
+    let zero = ["q{0}_rad", "qd{0}_rad_s", "tau{0}_nm"];
+    let exported = ros.map(|name| format!("/arm/joint_states/{name}"));
+    let exported = exported.each_ref().map(String::as_str);
     let lerobot = ["{name}.pos", "{name}.vel", "{name}.torque"];
     let known = [
         ("own.csv", own(), ""),
@@ -122,6 +125,16 @@ fn every_source_gives_the_same_rows() {
         ("excel.txt", semicolons.replace(';', "\t"), ""),
         ("spaces.csv", own().replace(',', "   "), ""),
         ("comment.csv", format!("# {}", own().replace(',', " ")), ""),
+        ("above.csv", format!("# by hand\n#\n\n# {}", own()), ""),
+        (
+            "amid.csv",
+            format!(
+                "# by hand\n{}",
+                own().replacen("\n1,", "\n# mark, 2\n1,", 1)
+            ),
+            "",
+        ),
+        ("zero.csv", table(zero, "t_s", ",", [1.0; 4]), ""),
         (
             "rtde.csv",
             table(rtde, "timestamp", " ", [1.0; 4]),
@@ -136,6 +149,11 @@ fn every_source_gives_the_same_rows() {
             "ros.csv",
             table(ros, "t_s", ",", [1.0; 4]),
             "joint shoulder_pan of the description is shoulder_pan_joint/position there",
+        ),
+        (
+            "plotjuggler.csv",
+            table(exported, "__time", ",", [1.0; 4]),
+            "columns of ros",
         ),
         (
             "lerobot.csv",
@@ -278,6 +296,66 @@ fn logs_that_do_not_fit_are_refused_by_name() {
             "headless.csv:1: no header row, 19 numbers: name the columns by --names",
         ),
         (
+            "marked.csv",
+            format!("# by hand\n# 2\n{}", lines[1..5].concat()),
+            "marked.csv:3: no header row, 19 numbers",
+        ),
+        (
+            "late.csv",
+            own.replace("\n1,", "\n# mark\n1,").replace("51.5", "") + "# end\n",
+            "late.csv:9: column tau6_nm",
+        ),
+        (
+            "renamed.csv",
+            format!("# by hand\n\n{}", own.replace("tau", "load")),
+            "renamed.csv:3: column tau1_nm is missing",
+        ),
+        (
+            "twice.csv",
+            [&lines[..3], &lines[2..]].concat().concat(),
+            "twice.csv:4: column t_s: 0.25 does not come after 0.25: rows that are written twice: keep one of each; coarse stamps of even rows: leave t_s out and give rate_hz",
+        ),
+        (
+            "back.csv",
+            [&lines[..1], &lines[9..], &lines[1..9]].concat().concat(),
+            "back.csv:54: column t_s: 0 does not come after 14.75: sort the rows by time, or cut the log here",
+        ),
+        (
+            "cell.csv",
+            own.replace(",51.5\n", ",\n"),
+            "cell.csv:8: column tau6_nm: \"\" is not a finite number: delete such rows: up to four in a row",
+        ),
+        (
+            "date.csv",
+            own.replace("\n1.5,", "\n2024-05-03T10:11:12.5,"),
+            "is not a finite number: write seconds, with pandas",
+        ),
+        (
+            "capitals.csv",
+            own.to_uppercase(),
+            "t_s = \"T_S\"\nq_rad = \"Q{1}_RAD\"\ntau_nm = \"TAU{1}_NM\"",
+        ),
+        (
+            "named.csv",
+            table(
+                ["pos_{name}", "vel_{name}", "torque_{name}"],
+                "t_s",
+                ",",
+                [1.0; 4],
+            ),
+            "t_s = \"t_s\"\nq_rad = \"pos_{name}\"\ntau_nm = \"torque_{name}\"",
+        ),
+        (
+            "untimed.csv",
+            table(
+                ["actual_q_{0}", "actual_qd_{0}", "actual_current_{0}"],
+                "stamp",
+                ",",
+                [1.0; 4],
+            ),
+            "column timestamp is missing: name it by t_s, or give",
+        ),
+        (
             "one.csv",
             lines[..2].concat(),
             "one.csv: 1 rows, a motion needs 3 at least",
@@ -320,6 +398,8 @@ fn logs_that_do_not_fit_are_refused_by_name() {
         let refused = read_text(name, &text, &ur5()).expect_err(name);
         assert!(refused.contains(wanted), "{name}: {refused}");
     }
+    let refused = read(std::path::Path::new("/dev/null"), &ur5()).expect_err("no file");
+    assert!(refused.contains("a pipe or device"), "{refused}");
 }
 
 #[test]

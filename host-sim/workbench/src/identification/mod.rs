@@ -58,7 +58,7 @@ pub enum IdentifyError {
     #[error(transparent)]
     Table(#[from] TableError),
     /// The motion has a rank below the number of parameters: it does not show these.
-    #[error("the excitation is rank deficient ({0} of {1}): it does not show {names}", names = .2.join(", "))]
+    #[error("the excitation is rank deficient ({0} of {1}): {text}", text = unseen(.2))]
     RankDeficient(usize, usize, Vec<String>),
     /// A matrix that must be positive definite is not.
     #[error("the normal equations cannot be solved")]
@@ -68,7 +68,67 @@ pub enum IdentifyError {
     Refused(#[from] Refusal),
 }
 
+/// The parameters that a motion does not show, or the joints that rest, and the remedy.
+fn unseen(names: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let is_unseen = |joint: &str| {
+        let own = ["Fv", "Fc"].map(|symbol| format!("{symbol}{joint}"));
+        own.iter().all(|own| names.contains(own))
+    };
+    let joints = names.iter().filter_map(|name| name.strip_prefix("Fv"));
+    let rest: Vec<&str> = joints.filter(|joint| is_unseen(joint)).collect();
+    if !rest.is_empty() {
+        let joints = rest.join(", ");
+        return format!("joints at rest: {joints}: add a --log in which every joint moves");
+    }
+    // Friction beyond viscous and Coulomb: a letter more, or another one, before the joint.
+    let extra = |name: &String| {
+        let symbol = name.trim_end_matches(|c: char| c.is_ascii_digit());
+        symbol.starts_with('F') && !["Fv", "Fc"].contains(&symbol)
+    };
+    let remedy = match names.iter().all(extra) {
+        true => {
+            "--columns coulomb-viscous leaves them out, a smaller --still-rad-s takes slower rows too, or add a faster motion"
+        }
+        false => "add a --log with a richer motion, such as that of `excite`",
+    };
+    let more = match names.len().saturating_sub(SHOWN) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let names = names[..names.len().min(SHOWN)].join(", ");
+    format!("it does not show {names}{more}: {remedy}")
+}
+
 /// The refusal of a log.
 fn refused(path: &Path, problem: impl std::fmt::Display) -> IdentifyError {
     Refusal::of(path.display(), problem).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_that_does_not_show_all_is_refused_with_a_remedy() {
+        for (names, wanted) in [
+            (
+                "mx4 Ia4 Fv4 Fc4 Fo4 Fv10 Fc10",
+                "joints at rest: 4, 10: add",
+            ),
+            (
+                "Fo4 Fvt4",
+                "does not show Fo4, Fvt4: --columns coulomb-viscous",
+            ),
+            ("Fc4", "does not show Fc4: add a --log with a richer"),
+            (
+                "a b c d e f g h i j",
+                "show a, b, c, d, e, f, g, h and 2 more: add",
+            ),
+        ] {
+            let names = names.split(' ').map(str::to_owned).collect();
+            let text = IdentifyError::RankDeficient(1, 3, names).to_string();
+            assert!(text.contains(wanted), "{text}");
+        }
+    }
 }

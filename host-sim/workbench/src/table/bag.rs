@@ -105,6 +105,11 @@ pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, Tabl
     let JointState { names, values, .. } = &seen[most];
     let (names, plain) = (names.clone(), seen[most].plain);
     let kinds = [0, 1, 2].map(|kind| values[kind].len() == names.len() && !names.is_empty());
+    let empty = ["position", "effort"].into_iter().zip([kinds[0], kinds[2]]);
+    if let Some((field, _)) = empty.filter(|(_, is_there)| !plain && !is_there).next() {
+        let problem = format!("the field {field} is empty in {topic}");
+        return Err(refused(path, problem));
+    }
     let own = seen.iter().filter(|state| state.names.len() == names.len());
     let start_ns = own.map(|state| state.stamp_ns).next().unwrap_or(0);
     let mut header = vec!["t_s".to_owned()];
@@ -205,19 +210,30 @@ fn chosen(
     let mut topic = own[0];
     if own.len() > 1 {
         let mut alike = Vec::new();
+        let mut joints = Vec::new();
         for &topic in &own {
             if let Some(Begun { seen, most, .. }) = begin(files, topic)? {
-                alike.push(((topics.likeness)(&seen[most].names), topic));
+                let names = &seen[most].names;
+                alike.push(((topics.likeness)(names), topic));
+                joints.push(format!("{topic} ({})", names.join(", ")));
             }
         }
         let most = alike.iter().map(|own| own.0).max();
         alike.retain(|own| Some(own.0) == most);
         topic = match alike[..] {
             [(1.., topic)] => topic,
-            _ => {
-                let (all, first) = (own.join(", "), own[0]);
+            [(1.., first), ..] => {
+                let all: Vec<&str> = alike.iter().map(|own| own.1).collect();
                 let problem = format!(
-                    "joint states in {all}, and not one of them alone has the joints of the arm: write `topic = \"{first}\"` into a file for --columns-from"
+                    "{} all have the joints of the arm: write `topic = \"{first}\"`, or another of them, into a file for --columns-from",
+                    all.join(", ")
+                );
+                return Err(refused(path, problem));
+            }
+            _ => {
+                let problem = format!(
+                    "joint states in {}, and no topic has all joints of the arm: record one that has",
+                    joints.join(", ")
                 );
                 return Err(refused(path, problem));
             }

@@ -8,7 +8,7 @@ mod rows;
 mod writer;
 
 pub(crate) use bag::Topics;
-pub(crate) use rows::Rows;
+pub(crate) use rows::{Remedies, Rows};
 pub use writer::TableWriter;
 
 use crate::dynamics::{Joints, State};
@@ -250,10 +250,6 @@ impl TableError {
     pub fn empty(path: &Path) -> Self {
         Self::at(path, None, "no rows")
     }
-
-    pub(crate) fn missing(path: &Path, column: &str) -> Self {
-        Self::at(path, 1, format!("column {column} is missing"))
-    }
 }
 
 #[cfg(test)]
@@ -275,6 +271,7 @@ SOUND 0,0,0,0 1,2,x,4 | :3: column qd1_rad_s: \"x\" is not a finite number
 SOUND 0,0,0,NaN | :2: column qdd1_rad_s2: \"NaN\" is not a finite number
 SOUND 0,0,0, | :2: column qdd1_rad_s2: \"\" is not a finite number
 SOUND 1,0,0,0 2,0,0,0 2,0,0,0 | :4: column t_s: 2 does not come after 2: keep one row of each time
+SOUND 2,0,0,0 1,0,0,0 | :3: column t_s: 1 does not come after 2: sort the rows by time
 SOUND | : no rows
  | : no rows";
         for case in cases.lines() {
@@ -413,7 +410,19 @@ SOUND | : no rows
              INSERT INTO messages SELECT id + 100000, 77, timestamp, data FROM messages",
         );
         let error = rows(&path, None).expect_err("two topics").to_string();
-        assert!(error.contains("states in /a, /joint_states,"), "{error}");
-        assert!(error.contains("topic = \"/a\""), "{error}");
+        let both = "/a, /joint_states all have the joints of the arm: write `topic = \"/a\"";
+        assert!(error.contains(both), "{error}");
+        let (topics, likeness) = (None, &|_: &[String]| 0);
+        let topics = Topics {
+            named: topics,
+            likeness,
+        };
+        let error = bag::open(&path, &topics).err().expect("no arm").to_string();
+        let parts = "and no topic has all joints of the arm";
+        assert!(
+            error.contains("/a (shoulder_pan_joint, ") || error.contains("/a ("),
+            "{error}"
+        );
+        assert!(error.contains(parts), "{error}");
     }
 }

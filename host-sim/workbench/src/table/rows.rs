@@ -15,9 +15,32 @@ pub(crate) struct Rows {
     source: Source,
     /// Names of the columns.
     pub(crate) header: Vec<String>,
+    /// Line of the header, from 1.
+    header_line: u64,
+    pub(crate) remedies: Remedies,
     previous_s: Option<f64>,
     /// Remarks on what was read.
     pub(crate) notes: Vec<String>,
+}
+
+/// Remedies that errors of the rows name.
+#[derive(Clone, Copy)]
+pub(crate) struct Remedies {
+    /// For a field that is no number, from its text.
+    pub(crate) of_field: fn(&str) -> &'static str,
+    /// For a time that comes twice.
+    pub(crate) same: &'static str,
+    /// For a time before that of the row before.
+    pub(crate) back: &'static str,
+}
+
+impl Remedies {
+    /// Of a table of states, of which no row may be lost.
+    const OF_STATES: Self = Self {
+        of_field: |_| "",
+        same: "keep one row of each time",
+        back: "sort the rows by time",
+    };
 }
 
 enum Source {
@@ -25,6 +48,8 @@ enum Source {
         reader: Box<csv::Reader<Box<dyn BufRead + Send>>>,
         record: csv::ByteRecord,
         separator: u8,
+        /// Lines of comment before the table.
+        above: u64,
     },
     Bag {
         messages: Messages,
@@ -59,6 +84,40 @@ impl<R: Read> Read for BoundedLines<R> {
     }
 }
 
+/// Beginning of a table.
+struct Beginning {
+    /// Lines that begin with `#` or are empty.
+    comments: Vec<String>,
+    /// The line behind these.
+    first: String,
+    /// Bytes before that line.
+    length: usize,
+}
+
+impl Beginning {
+    fn of(bytes: &[u8]) -> Self {
+        let (mut comments, mut length) = (Vec::new(), 0);
+        for line in bytes.split_inclusive(|byte| *byte == b'\n') {
+            let text = String::from_utf8_lossy(line);
+            let text = text.trim_start_matches('\u{feff}').trim().to_owned();
+            if !text.is_empty() && !text.starts_with('#') {
+                return Self {
+                    comments,
+                    first: text,
+                    length,
+                };
+            }
+            comments.push(text);
+            length += line.len();
+        }
+        Self {
+            comments,
+            first: String::new(),
+            length,
+        }
+    }
+}
+
 /// Separators of a CSV file in the order in which they are looked for: a comma may be a decimal one.
 const SEPARATORS: [u8; 4] = *b";\t, ";
 
@@ -86,6 +145,8 @@ impl Rows {
                     count: 0,
                 },
                 header,
+                header_line: 1,
+                remedies: Remedies::OF_STATES,
                 previous_s: None,
                 notes,
             });
@@ -98,21 +159,41 @@ impl Rows {
         };
         let bytes = BoundedLines { bytes, length: 0 };
         let mut bytes: Box<dyn BufRead + Send> = Box::new(BufReader::with_capacity(1 << 18, bytes));
-        let first = bytes.fill_buf().map_err(|error| at(path, error))?;
-        let first = first.split(|byte| *byte == b'\n').next();
-        let first = String::from_utf8_lossy(first.unwrap_or_default()).into_owned();
-        let is_there = |separator: &u8| first.trim().as_bytes().contains(separator);
+        let start = bytes.fill_buf().map_err(|error| at(path, error))?;
+        let Beginning {
+            comments,
+            first,
+            length,
+        } = Beginning::of(start);
+        bytes.consume(length);
+        let is_there = |separator: &u8| first.as_bytes().contains(separator);
         let separator = SEPARATORS.into_iter().find(is_there).unwrap_or(b',');
-        let fields = first
-            .split(char::from(separator))
-            .filter(|field| !field.trim().is_empty());
-        let is_number = |field: &str| number(field.trim().as_bytes(), separator).is_some();
-        let numbers = !first.trim().is_empty() && fields.clone().all(is_number);
-        if numbers && names.is_empty() {
-            let count = fields.count();
+        let split = |line: &str| -> Vec<String> {
+            let fields = line.split(char::from(separator));
+            let fields = fields.map(|field| field.trim().trim_matches('"').to_owned());
+            fields.filter(|field| !field.is_empty()).collect()
+        };
+        let fields = split(&first);
+        let is_number = |field: &String| number(field.as_bytes(), separator).is_some();
+        let numbers = !fields.is_empty() && fields.iter().all(is_number);
+        // The comment that names as many columns as there are numbers is the header.
+        let lines = comments
+            .iter()
+            .map(|line| split(line.trim_start_matches('#')));
+        let lines = lines
+            .enumerate()
+            .filter(|(_, names)| numbers && names.len() == fields.len());
+        let commented = lines.last();
+        let header_line = match &commented {
+            Some((place, _)) => *place as u64 + 1,
+            None => comments.len() as u64 + 1,
+        };
+        let has_header = commented.is_some() || !numbers;
+        if !has_header && names.is_empty() {
+            let count = fields.len();
             let problem =
                 format!("no header row, {count} numbers: name the columns by --names t_s,q1_rad,…");
-            return Err(TableError::at(path, 1, problem));
+            return Err(TableError::at(path, header_line, problem));
         }
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
@@ -121,7 +202,9 @@ impl Rows {
             .trim(csv::Trim::Headers)
             .buffer_capacity(1 << 18)
             .from_reader(bytes);
-        let header: Vec<String> = if numbers {
+        let header: Vec<String> = if let Some((_, header)) = commented {
+            header
+        } else if numbers {
             names.to_vec()
         } else {
             let found = reader.headers().map_err(|error| unreadable(path, &error))?;
@@ -134,7 +217,7 @@ impl Rows {
         if header.is_empty() {
             return Err(TableError::empty(path));
         }
-        let named = (!numbers && !names.is_empty()).then(|| {
+        let named = (has_header && !names.is_empty()).then(|| {
             let path = path.display();
             format!("{path}: its own header is taken, in the place of --names")
         });
@@ -145,7 +228,10 @@ impl Rows {
                 reader: Box::new(reader),
                 record: csv::ByteRecord::new(),
                 separator,
+                above: comments.len() as u64,
             },
+            header_line,
+            remedies: Remedies::OF_STATES,
             previous_s: None,
             notes: named.into_iter().collect(),
         })
@@ -163,8 +249,11 @@ impl Rows {
 
     /// Place of a column that must be there.
     pub(crate) fn require(&self, column: &str) -> Result<usize, TableError> {
-        self.find(column)?
-            .ok_or_else(|| TableError::missing(&self.path, column))
+        self.find(column)?.ok_or_else(|| self.missing(column))
+    }
+
+    pub(crate) fn missing(&self, column: &str) -> TableError {
+        self.header_error(format!("column {column} is missing"))
     }
 
     /// Refuses the column of a joint that a robot of `joints` joints does not have.
@@ -177,8 +266,9 @@ impl Rows {
         }
     }
 
-    fn header_error(&self, problem: String) -> TableError {
-        TableError::at(&self.path, 1, problem)
+    /// The problem in the header.
+    pub(crate) fn header_error(&self, problem: String) -> TableError {
+        TableError::at(&self.path, self.header_line, problem)
     }
 
     /// The problem in this row.
@@ -204,10 +294,20 @@ impl Rows {
                 reader,
                 record,
                 separator,
+                ..
             } => {
-                let more = reader.read_byte_record(record);
-                if !more.map_err(|error| unreadable(&self.path, &error))? {
-                    return Ok(false);
+                let is_comment = |record: &csv::ByteRecord| {
+                    let first = record.get(0).unwrap_or_default();
+                    first.trim_ascii_start().starts_with(b"#")
+                };
+                loop {
+                    let more = reader.read_byte_record(record);
+                    if !more.map_err(|error| unreadable(&self.path, &error))? {
+                        return Ok(false);
+                    }
+                    if !is_comment(record) {
+                        break;
+                    }
                 }
                 // Several spaces in a row are one separator.
                 if *separator == b' ' && record.iter().any(<[u8]>::is_empty) {
@@ -228,7 +328,9 @@ impl Rows {
     /// Line of the row, or number of the message, from 1.
     pub(crate) fn line(&self) -> u64 {
         match &self.source {
-            Source::Csv { record, .. } => record.position().map_or(0, csv::Position::line),
+            Source::Csv { record, above, .. } => {
+                above + record.position().map_or(0, csv::Position::line)
+            }
             Source::Bag { count, .. } => *count,
         }
     }
@@ -253,8 +355,10 @@ impl Rows {
             }
         };
         value.ok_or_else(|| {
-            let column = &self.header[column];
-            self.row_error(format!("column {column}: {text:?} is not a finite number"))
+            let (column, remedy) = (&self.header[column], (self.remedies.of_field)(&text));
+            self.row_error(format!(
+                "column {column}: {text:?} is not a finite number{remedy}"
+            ))
         })
     }
 
@@ -264,13 +368,12 @@ impl Rows {
         match self.previous_s.replace(t_s) {
             Some(previous_s) if t_s <= previous_s => {
                 let name = &self.header[column];
-                let twice = if t_s == previous_s {
-                    ": keep one row of each time"
-                } else {
-                    ""
+                let remedy = match t_s == previous_s {
+                    true => self.remedies.same,
+                    false => self.remedies.back,
                 };
                 let problem =
-                    format!("column {name}: {t_s} does not come after {previous_s}{twice}");
+                    format!("column {name}: {t_s} does not come after {previous_s}: {remedy}");
                 Err(self.row_error(problem))
             }
             _ => Ok(t_s),
