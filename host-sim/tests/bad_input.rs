@@ -211,7 +211,7 @@ fn results_of_an_earlier_run_do_not_stay() {
     refused(&here, wrong, "--force");
     assert_eq!(bank(), Some(before), "a refused run removes nothing");
     fs::create_dir(here.join("other")).expect("creates");
-    write(here.join("other/robot.urdf"), "no result".to_owned());
+    write(here.join("other/robot.urdf"), "no result");
     let line = "identify --robot ur5 --log log.csv --methods wls --out other";
     succeeds(&here, line);
     assert!(here.join("other/robot.urdf").exists(), "no result of ours");

@@ -191,10 +191,10 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     };
     let asked = ["des", "target", "cmd", "ref", "con"];
     let q = guess(
-        &["q", "pos", "angle"],
-        &[&asked[..], &["qd", "dq"]].concat(),
+        &["q", "pos", "angle", "_rad"],
+        &[&asked[..], &["qd", "dq", "rad_s"]].concat(),
     );
-    let tau = guess(&["tau", "torque", "eff", "moment"], &asked);
+    let tau = guess(&["tau", "torque", "eff", "moment", "_nm"], &asked);
     let all = header[..header.len().min(SHOWN)].join(", ");
     let more = if header.len() > SHOWN { ", …" } else { "" };
     let problem = format!(

@@ -244,6 +244,12 @@ fn a_required_map_wins_over_own_names() {
         error.contains("the gain of joint 3 is not known"),
         "{error}"
     );
+    let here = tempfile::tempdir().expect("creates");
+    let path = here.path().join("currents.csv");
+    fs::write(&path, currents).expect("writes");
+    let error = super::with_gains(&robot, &[path], 0.05).expect_err("no standstill");
+    let wanted = "standstill does not show the gain of joint 3: give --drive-gains";
+    assert!(error.to_string().contains(wanted), "{error}");
 }
 
 #[test]
@@ -338,12 +344,12 @@ fn logs_that_do_not_fit_are_refused_by_name() {
         (
             "named.csv",
             table(
-                ["pos_{name}", "vel_{name}", "torque_{name}"],
+                ["{name}_rad", "{name}_rad_s", "{name}_nm"],
                 "t_s",
                 ",",
                 [1.0; 4],
             ),
-            "t_s = \"t_s\"\nq_rad = \"pos_{name}\"\ntau_nm = \"torque_{name}\"",
+            "t_s = \"t_s\"\nq_rad = \"{name}_rad\"\ntau_nm = \"{name}_nm\"",
         ),
         (
             "untimed.csv",

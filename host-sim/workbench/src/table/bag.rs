@@ -105,8 +105,8 @@ pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, Tabl
     let JointState { names, values, .. } = &seen[most];
     let (names, plain) = (names.clone(), seen[most].plain);
     let kinds = [0, 1, 2].map(|kind| values[kind].len() == names.len() && !names.is_empty());
-    let empty = ["position", "effort"].into_iter().zip([kinds[0], kinds[2]]);
-    if let Some((field, _)) = empty.filter(|(_, is_there)| !plain && !is_there).next() {
+    let mut empty = ["position", "effort"].into_iter().zip([kinds[0], kinds[2]]);
+    if let Some((field, _)) = empty.find(|(_, is_there)| !plain && !is_there) {
         let problem = format!("the field {field} is empty in {topic}");
         return Err(refused(path, problem));
     }

@@ -180,10 +180,10 @@ impl Rows {
         let lines = comments
             .iter()
             .map(|line| split(line.trim_start_matches('#')));
-        let lines = lines
+        let mut lines = lines
             .enumerate()
             .filter(|(_, names)| numbers && names.len() == fields.len());
-        let commented = lines.last();
+        let commented = lines.next_back();
         let header_line = match &commented {
             Some((place, _)) => *place as u64 + 1,
             None => comments.len() as u64 + 1,
