@@ -89,7 +89,7 @@ typedef struct ForetorqueSafety {
   uint8_t state;
   // Reason for which the torque is, or may soon be, less than wanted.
   uint8_t reason;
-  // The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
+  // The fault that has to be cleared before arming; 0 is none. Keep it over a reset, and give it back by `foretorque_stop`.
   uint8_t latched;
   // 1 where the enable of the motor stages may be on.
   uint8_t enabled;
@@ -199,7 +199,9 @@ ForetorqueStatus foretorque_clear_fault(struct Foretorque *it, uint8_t *reason);
 ForetorqueStatus foretorque_disarm(struct Foretorque *it);
 
 // Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
-// An unknown code, or 0, latches 3.
+// An unknown code, or 0, latches 3. An emergency stop also stops learning, until learning is switched off.
+//
+// After a reset, call it with the `latched` that was kept, unless that is 0.
 //
 // # Safety
 // As those of `foretorque_disarm`.

@@ -1,5 +1,6 @@
 //! Commands and state of the safety.
 
+use foretorque::learning::Request;
 use foretorque_link::safety::{Safety, SafetyReason};
 use foretorque_link::wire::Configuration;
 
@@ -57,7 +58,9 @@ pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueSta
 }
 
 /// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
-/// An unknown code, or 0, latches 3.
+/// An unknown code, or 0, latches 3. An emergency stop also stops learning, until learning is switched off.
+///
+/// After a reset, call it with the `latched` that was kept, unless that is 0.
 ///
 /// # Safety
 /// As those of `foretorque_disarm`.
@@ -73,6 +76,11 @@ pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> For
         act(it, |it| {
             it.safety.torque_off(fault);
             it.feed_forward.applied(it.safety.output());
+            // The data that led to it may not be fit to learn from. The stop replaces a request that still waits.
+            if fault == SafetyReason::Stopped {
+                it.feed_forward
+                    .request_over(Request::Stop, &mut it.exchange);
+            }
         })
     }
 }

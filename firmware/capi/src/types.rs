@@ -101,7 +101,7 @@ pub struct ForetorqueSafety {
     pub state: u8,
     /// Reason for which the torque is, or may soon be, less than wanted.
     pub reason: u8,
-    /// The fault that has to be cleared before arming; 0 is none. Keep it over a reset.
+    /// The fault that has to be cleared before arming; 0 is none. Keep it over a reset, and give it back by `foretorque_stop`.
     pub latched: u8,
     /// 1 where the enable of the motor stages may be on.
     pub enabled: u8,

@@ -68,6 +68,30 @@ impl Program {
         }
     }
 
+    /// One tick of a swing with torques that no parameters of the description give, and a learning step.
+    fn swing(&mut self, tick: u32) {
+        let time = tick as f32 * 1e-3;
+        let mut sample = ForetorqueSample {
+            measured: 1,
+            ..ForetorqueSample::default()
+        };
+        for joint in 0..FORETORQUE_JOINTS {
+            let omega = 1.0 + 0.2 * joint as f32;
+            let (sin, cos) = (omega * time).sin_cos();
+            sample.q_rad[joint] = 0.5 * sin;
+            sample.qd_rad_s[joint] = 0.5 * omega * cos;
+            sample.qdd_rad_s2[joint] = -0.5 * omega * omega * sin;
+            sample.measured_tau_nm[joint] = 20.0 * cos;
+        }
+        sample.measured_q_rad = sample.q_rad;
+        let mut out = MaybeUninit::uninit();
+        // SAFETY: `it` lives, and both other pointers are those of variables.
+        unsafe {
+            foretorque_tick(self.it, &raw const sample, out.as_mut_ptr());
+            foretorque_learn(self.it);
+        }
+    }
+
     fn arm(&mut self) -> SafetyReason {
         let mut reason = 255;
         // SAFETY: both pointers are those of variables.
@@ -176,6 +200,35 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
         (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
         assert_eq!(program.arm(), SafetyReason::MotorHot);
         assert_eq!(foretorque_disarm(ptr::null_mut()), Null);
+    }
+}
+
+#[test]
+fn an_emergency_stop_ends_learning_too() {
+    for (reason, learns) in [(3, false), (13, true)] {
+        let mut program = Program::armed();
+        let bank = |program: &Program| {
+            let (mut bank, mut length) = ([0_u8; 4096], 0);
+            // SAFETY: `it` lives; every other pointer is to a variable.
+            let saved = unsafe {
+                let size = bank.len();
+                foretorque_save_bank(program.it, bank.as_mut_ptr(), size, &raw mut length)
+            };
+            assert_eq!(saved, ForetorqueStatus::Ok);
+            bank
+        };
+        // SAFETY: `it` lives.
+        unsafe {
+            foretorque_set_learning(program.it, 1);
+            foretorque_stop(program.it, reason);
+        }
+        let before = bank(&program);
+        let mut changed = false;
+        for tick in 0..10_000 {
+            program.swing(tick);
+            changed |= tick % 100 == 0 && bank(&program) != before;
+        }
+        assert_eq!(changed, learns, "reason {reason}");
     }
 }
 

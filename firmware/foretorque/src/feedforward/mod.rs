@@ -26,7 +26,7 @@ use crate::learning::{
     ConfigError, Exchange, LearningSample, Request, RequestPending, StartDeviations,
     check_positive, payload_bound,
 };
-use crate::limits::Flags;
+use crate::limits::{Flags, cut};
 use core::marker::PhantomData;
 
 /// How the tick behaves; derived from the arm's limits and the period.
@@ -162,10 +162,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         *step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
     }
 
-    /// Sets the torque that the drives got, N × N·m, finite: the next tick slews from there. A torque that was
-    /// held back does not come all at once when it is released.
+    /// Sets the torque that the drives got, N × N·m: the next tick slews from there. A torque that was held back does
+    /// not come all at once when it is released. It is cut to the torque limit; one that is not finite counts as 0.
+    #[inline(never)]
     pub fn applied(&mut self, total: &JointVector<N>) {
-        self.state.last.total = *total;
+        for joint in 0..N {
+            let torque = if total[joint].is_finite() {
+                total[joint]
+            } else {
+                0.0
+            };
+            self.state.last.total[joint] = cut(torque, self.config.limits[joint].torque).0;
+        }
     }
 
     /// A tick without a sample; see [`step_stale`].

@@ -15,6 +15,36 @@ fn torque_rises_from_zero_at_the_slew_limit() {
 }
 
 #[test]
+fn a_torque_that_the_drives_cannot_have_got_leaves_the_next_within_its_limits() {
+    let limits = Ur5::LIMITS.map(|limits| limits.torque);
+    for got in [200.0, -200.0, f32::INFINITY, f32::NEG_INFINITY, f32::NAN] {
+        for stale in [false, true] {
+            let mut tick = tick(set());
+            tick.applied(&JointVector::from_element(got));
+            let torque = match stale {
+                true => tick.step_stale(),
+                false => tick.step(&sample(motion(0.3))),
+            };
+            for (joint, limit) in limits.into_iter().enumerate() {
+                let total = torque.total[joint];
+                assert!(
+                    total.abs() <= limit,
+                    "{got}, stale: {stale}, joint {joint}: {total}"
+                );
+                if stale {
+                    let from = if got.is_finite() {
+                        got.clamp(-limit, limit)
+                    } else {
+                        0.0
+                    };
+                    assert_eq!(total, from);
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn a_motion_outside_the_limits_is_cut_to_them() {
     let mut wild = motion(0.3);
     wild.q[0] = 7.0;
