@@ -12,8 +12,8 @@
 //! | loaded | set of the last load | tick, on load | tick: origin of the learnt change; estimate at its start; shares: rival | at every load |
 //! | estimate | linear parameters of the [`Estimator`] | estimator; supervisor, on restoration | supervisor, change detection | with every accepted row |
 //! | learnt | the estimate, in steps of bounded torque | supervisor | tick | at most once a round |
-//! | active | single set nearest to the torque: loaded and learnt by the [`LearntShare`] | learner and tick | `Save`, reports | at most once a round |
-//! | committed | active set of the last commit | tick, on commit and load | tick: fallback, centre of the bound on learnt change | on commit, at every load |
+//! | active | single set nearest to the torque: loaded and learnt by the [`LearntShare`] | learner and tick | reports, `BankRead` (live) | at most once a round |
+//! | committed | active set of the last commit | tick, on commit and load | tick: fallback, centre of the bound on learnt change; `Save` | on commit, at every load |
 //! | checkpoint | estimate, learnt set, shares, evidence and payload of one instant | supervisor, while healthy | supervisor: alarm, emergency stop, release of a payload | every 0.128 s; two are kept, and one from before a payload |
 //! | snapshot | copy of learnt set, shares and networks | [`Request::Snapshot`] | [`Request::Rollback`] | on request |
 //! | network candidate | network of a joint in training | trainer | trainer: comparison with the active network | with every accepted row of the joint |
@@ -36,7 +36,7 @@
 //! ```text
 //!          ┌───────────── 0 Healthy ─────────────┐
 //!          │                                     │    alarm (1)     ┌────────────────┐
-//! start ──►│ torque follows the shares (25, 7),  ├─────────────────►│ 1 PayloadTest  │
+//! start ──►│ torque follows the shares (25, 26), ├─────────────────►│ 1 PayloadTest  │
 //!          │ commit every 8 s                    │◄──── 2, 6, 8 ────│   at most 3 s  │
 //!          │                                     │                  └───────┬────────┘
 //!          │                                     │                          │ refused (3, 4, 5)
@@ -47,7 +47,7 @@
 //! ```
 //!
 //! * Healthy: the learnt set moves to the estimate and the shares to their evidence, by at most 0.5 % of the torque limit a
-//!   round. Following begins (25) at a common share of 1/2 and ends (7) at 1/4.
+//!   round. Following begins (25) at a common share of 1/2 and ends (26) at 1/4.
 //! * alarm: the CUSUM of a joint exceeds 25. Estimate, learnt set and shares return to the checkpoint of 0.128 s to 0.256 s
 //!   ago and are frozen.
 //! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6). While healthy

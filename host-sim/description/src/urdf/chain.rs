@@ -207,6 +207,13 @@ fn friction(joint: &JointElement) -> Result<Friction, String> {
 
 fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, String> {
     let (limit, name) = (&joint.limit, &joint.name);
+    for (what, value) in [("velocity", limit.velocity), ("torque", limit.effort)] {
+        if let Some(value) = value.filter(|value| *value < 0.0) {
+            return Err(format!(
+                "has the {what} limit {value}, must not be negative"
+            ));
+        }
+    }
     let velocity = limit.velocity.filter(|value| *value > 0.0);
     if velocity.is_none() {
         notes.push(format!(

@@ -269,7 +269,9 @@ impl<'a, 'input> Reader<'a, 'input> {
             limit: LimitElement {
                 lower: range.map(|range| range.0 * turn),
                 upper: range.map(|range| range.1 * turn),
-                effort: force.map(|(low, high)| high.min(-low)),
+                effort: force
+                    .map(|(low, high)| high.min(-low))
+                    .filter(|most| *most > 0.0),
                 ..LimitElement::default()
             },
             friction: (

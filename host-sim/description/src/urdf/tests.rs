@@ -373,7 +373,9 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; ; <robot name="Two-Link"> ; <robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/> ; contains xacro macros: expand the file first (xacro FILE)
         ; hand ; xyz="0 0 0.5" ; xyz="${h} 0 0.5" ; line 6: <origin> xyz="${h} 0 0.5" is not three numbers: expand the file first (xacro FILE)
         ; hand ; rpy="1.5708 0 0" ; rpy="90 0 0" ; line 14: <origin> has more than a turn in rpy, which is in radians
-        ; hand ; damping="0.5" ; damping="-0.5" ; joint 'elbow' has the viscous friction -0.5, must not be negative"##;
+        ; hand ; damping="0.5" ; damping="-0.5" ; joint 'elbow' has the viscous friction -0.5, must not be negative
+        ; hand ; velocity="3" ; velocity="-3" ; joint 'shoulder' has the velocity limit -3, must not be negative
+        ; hand ; effort="40" ; effort="-40" ; joint 'shoulder' has the torque limit -40, must not be negative"##;
     for case in cases.trim_start_matches('\n').lines() {
         let [base, tip, good, bad, message] =
             case.split(';').map(str::trim).collect::<Vec<_>>()[..]
