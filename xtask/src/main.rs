@@ -33,7 +33,7 @@ Commands:
   fuzz     Set up, fuzz decoder, bank loader, session and store, write target/foretorque/fuzz.json
   flash    Set up, build, write .bin and .hex to target/foretorque/flash, flash the ELF by probe-rs
   arm      Set up, describe an arm, build its firmware into target/foretorque/arms/NAME, print the sizes
-  capi     Set up, build the static library for C and its example
+  capi     Set up, write the header for C, build the static library and its example
   words    Check the first lines of doc comments and the lengths of sentences
   circles  List import circles between source files
   mutants  Change limits, checks and a sample of all code that limits torque, one place at a time; tests must fail

@@ -85,10 +85,14 @@ pub(crate) fn bring_compiler() -> Result<()> {
     setup::bring_program(COMPILER, "gcc-arm-none-eabi")
 }
 
-/// Sets up, compiler for C included, and builds both.
+/// Sets up, compiler for C included, writes the header, and builds both.
 pub(crate) fn capi(forced: Option<Way>) -> Result<()> {
     let tools = setup::run(forced)?;
     bring_compiler()?;
+    let mut header = tools.host.tool("cargo");
+    header.args(["test", "--quiet", "-p", "foretorque-capi", "--test"]);
+    header.args(["interface", "the_header"]);
+    shell::run(header.env("UPDATE_HEADER", "1"))?;
     build_capi(tools)?;
     println!(
         "library: {}\nheader:  {PLACE}/include/foretorque.h\nexample: {}",

@@ -55,6 +55,8 @@ int main(void)
 	ForetorqueSample sample;
 	ForetorqueTorque torque;
 
+	if (foretorque_joints() != FORETORQUE_JOINTS)
+		return 7;
 	if (sizeof memory < foretorque_size() || 8 % foretorque_alignment() != 0)
 		return 1;
 	if (foretorque_init(memory, sizeof memory, 0.001f, &arm) != FORETORQUE_STATUS_OK)

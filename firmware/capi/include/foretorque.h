@@ -119,6 +119,9 @@ uintptr_t foretorque_size(void);
 // Alignment of that memory, in bytes.
 uintptr_t foretorque_alignment(void);
 
+// Joints of the arm of this library. Where it is not `FORETORQUE_JOINTS`, the header is that of another arm: call nothing else.
+uint32_t foretorque_joints(void);
+
 // Identity of the arm: the same number as in its parameter banks.
 uint32_t foretorque_arm_hash(void);
 

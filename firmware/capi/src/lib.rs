@@ -3,7 +3,7 @@
 //! The header is `include/foretorque.h`, generated from this file; `example/main.c` is a whole program. Nothing allocates,
 //! nothing blocks, nothing panics: linking the static library proves the last.
 //!
-//! Another arm is another `use` below: see docs/arms.md.
+//! Another arm is another `use` and another `FORETORQUE_JOINTS` below: see docs/board.md.
 #![cfg_attr(target_os = "none", no_std)]
 
 mod safety;
@@ -30,9 +30,13 @@ use foretorque_link::wire::Configuration;
 use panic_never as _;
 
 /// Joints of the arm that this library was built for.
+// A literal, because the generator of the header evaluates nothing.
 pub const FORETORQUE_JOINTS: usize = 6;
 
-const _: () = assert!(FORETORQUE_JOINTS == JOINTS);
+const _: () = assert!(
+    FORETORQUE_JOINTS == JOINTS,
+    "set FORETORQUE_JOINTS to the joints of the arm, and write the header by `cargo xtask capi`"
+);
 
 /// Feed-forward, safety and learner of one arm. Opaque: C has a pointer into its own memory.
 pub struct Foretorque {
@@ -141,6 +145,12 @@ pub extern "C" fn foretorque_size() -> usize {
 #[unsafe(no_mangle)]
 pub extern "C" fn foretorque_alignment() -> usize {
     align_of::<Foretorque>()
+}
+
+/// Joints of the arm of this library. Where it is not `FORETORQUE_JOINTS`, the header is that of another arm: call nothing else.
+#[unsafe(no_mangle)]
+pub extern "C" fn foretorque_joints() -> u32 {
+    JOINTS as u32
 }
 
 /// Identity of the arm: the same number as in its parameter banks.

@@ -12,6 +12,7 @@ use std::process::{Command, Stdio};
 use std::ptr;
 
 const TICKS: u32 = 300;
+const NO_TORQUE: [f32; FORETORQUE_JOINTS] = [0.0; FORETORQUE_JOINTS];
 /// Seconds after which the emulator is stopped; it needs less than one.
 const PATIENCE: &str = "60";
 
@@ -132,7 +133,7 @@ fn torque_needs_fresh_samples_and_arming() {
     assert_eq!(program.arm(), SafetyReason::NoSample);
     for _ in 0..10 {
         // Not measured, so nothing to arm on.
-        assert_eq!(program.tick(Some(0.0), 0).total_nm, [0.0; 6]);
+        assert_eq!(program.tick(Some(0.0), 0).total_nm, NO_TORQUE);
     }
     assert_eq!(program.arm(), SafetyReason::NoSample);
     let mut program = Program::armed();
@@ -164,7 +165,7 @@ fn a_time_out_ramps_within_the_limits_and_only_arming_brings_torque_back() {
     }
     let reason = program.safety().reason;
     assert_eq!(reason, SafetyReason::CommandTimeout.code());
-    assert_eq!(program.tick(Some(0.0), 1).total_nm, [0.0; 6]);
+    assert_eq!(program.tick(Some(0.0), 1).total_nm, NO_TORQUE);
 }
 
 #[test]
@@ -178,7 +179,7 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
         let safety = program.safety();
         let stopped = SafetyReason::Stopped.code();
         assert_eq!((safety.enabled, safety.latched), (0, stopped));
-        assert_eq!(program.tick(Some(0.0), 1).total_nm, [0.0; 6]);
+        assert_eq!(program.tick(Some(0.0), 1).total_nm, NO_TORQUE);
         assert_eq!(program.arm(), SafetyReason::Stopped);
         let mut reason = 255;
         assert_eq!(foretorque_clear_fault(program.it, &raw mut reason), Ok);
@@ -377,6 +378,8 @@ fn the_header_is_that_of_the_source() {
     let committed = fs::read_to_string(&header).expect("the header is there");
     assert!(
         committed == generated,
-        "include/foretorque.h is not up to date: UPDATE_HEADER=1 cargo test -p foretorque-capi --test interface"
+        "include/foretorque.h is not up to date: `cargo xtask capi` writes it"
     );
+    let joints = format!("#define FORETORQUE_JOINTS {}\n", foretorque_joints());
+    assert!(committed.contains(&joints), "no `{joints}`");
 }
