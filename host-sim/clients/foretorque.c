@@ -21,8 +21,8 @@
 #define B2000000 B38400
 #endif
 
-enum { VERSION = 4, MOST_JOINTS = 8, MOST_BYTES = 300, TIMEOUT_MS = 2000 };
-enum { HELLO = 0, SAMPLE = 1, ARM = 10, DISARM = 11 };                /* host to board */
+enum { VERSION = 4, MOST_JOINTS = 8, MOST_BYTES = 300, TIMEOUT_MS = 2000, PERIOD_US = 1000 };
+enum { HELLO = 0, SAMPLE = 1, CONFIGURE = 3, ARM = 10, DISARM = 11 }; /* host to board */
 enum { TORQUE = 1, ACK = 4, NACK = 5 };                               /* board to host */
 enum { DISARMED = 0, ARMED = 1, RAMP_DOWN = 2 };                      /* safety states */
 
@@ -30,6 +30,7 @@ struct board {
     int port;
     int joints;
     char arm[32];
+    uint8_t configuration[8]; /* period, pacing, reply mode, closing time of the brakes */
     uint16_t sequence;
     uint8_t period;
     uint8_t waiting[MOST_BYTES]; /* bytes of a frame that has not ended */
@@ -49,6 +50,12 @@ struct sample {
 static void fail(const char *what) {
     fprintf(stderr, "error: %s\n", what);
     exit(1);
+}
+
+/* Reports a mistake in the arguments. */
+static void refuse(const char *what, const char *argument) {
+    fprintf(stderr, "error: %s: %s\n", argument, what);
+    exit(2);
 }
 
 static uint32_t crc32(const uint8_t *bytes, size_t count) {
@@ -155,7 +162,8 @@ static void board_open(struct board *board, const char *port) {
     memset(board, 0, sizeof *board);
     board->port = open(port, O_RDWR | O_NOCTTY);
     struct termios settings;
-    if (board->port < 0 || tcgetattr(board->port, &settings)) fail("the port cannot be opened");
+    if (board->port < 0) fail("the port cannot be opened");
+    if (tcgetattr(board->port, &settings)) fail("the port is not a serial port");
     cfmakeraw(&settings);
     cfsetspeed(&settings, B2000000);
     tcsetattr(board->port, TCSANOW, &settings);
@@ -166,6 +174,19 @@ static void board_open(struct board *board, const char *port) {
     memcpy(board->arm, content + 5, length);
     board->joints = content[5 + content[4]];
     if (board->joints < 1 || board->joints > MOST_JOINTS) fail("the board drives too many joints");
+    content += 7 + content[4];
+    content += 8 + content[0]; /* version, capabilities, counter */
+    memcpy(board->configuration, content, sizeof board->configuration);
+}
+
+/* Sets the period of the samples where it is another one. Only while disarmed and with learning off. */
+static void board_configure(struct board *board, uint32_t period_us) {
+    if (little(board->configuration, 4) == period_us) return;
+    uint8_t message[9] = {CONFIGURE};
+    put(board->configuration, period_us, 4);
+    memcpy(message + 1, board->configuration, sizeof board->configuration);
+    post(board, message, sizeof message);
+    answer(board, ACK);
 }
 
 static void board_command(struct board *board, uint8_t tag) {
@@ -238,18 +259,27 @@ static void row(FILE *log, const double *values, int joints) {
 }
 
 int main(int count, char **arguments) {
-    if (count < 2) fail("which port?");
-    const double period_s = 1e-3, duration_s = count > 2 ? atof(arguments[2]) : 5.0;
+    if (count < 2 || count > 5) refuse("PORT [SECONDS [LOG [Q1,Q2,...]]]", "arguments");
+    char *end = NULL;
+    const double period_s = 1e-6 * PERIOD_US;
+    double duration_s = count > 2 ? strtod(arguments[2], &end) : 5.0;
+    if ((end && *end) || !(duration_s >= period_s && duration_s < 1e6)) refuse("not a duration, s", arguments[2]);
     double start[MOST_JOINTS] = {0.0};
-    char *pose = count > 4 ? arguments[4] : NULL;
-    for (int j = 0; pose && j < MOST_JOINTS; j++) {
-        start[j] = strtod(pose, &pose);
-        pose = *pose == ',' ? pose + 1 : NULL;
+    int given = 0;
+    for (char *pose = count > 4 ? arguments[4] : NULL; pose; given++) {
+        double angle = strtod(pose, &end);
+        if (end == pose || (*end && *end != ',') || !isfinite(angle)) refuse("not angles, rad", arguments[4]);
+        if (given < MOST_JOINTS) start[given] = angle;
+        pose = *end ? end + 1 : NULL;
     }
     struct board board;
     board_open(&board, arguments[1]);
     int n = board.joints;
     printf("%s, %d joints\n", board.arm, n);
+    if (given && given != n) refuse("not one angle for each joint", arguments[4]);
+    board_configure(&board, PERIOD_US);
+    FILE *log = fopen(count > 3 ? arguments[3] : "log.csv", "w");
+    if (!log) fail("the log cannot be written");
     memcpy(drive_q, start, sizeof start);
 
     struct sample sample = {0};
@@ -259,8 +289,6 @@ int main(int count, char **arguments) {
     for (int k = 0; k < 20; k++) board_sample(&board, &sample, torque); /* the board sees where the arm stands */
     board_command(&board, ARM);
 
-    FILE *log = fopen(count > 3 ? arguments[3] : "log.csv", "w");
-    if (!log) fail("the log cannot be written");
     fprintf(log, "t_s");
     columns(log, "q", "rad", n);
     columns(log, "qd", "rad_s", n);
@@ -291,12 +319,13 @@ int main(int count, char **arguments) {
         for (int j = 0; j < n; j++) fprintf(log, ",%.9g", (double)torque[j]);
         fprintf(log, ",%d\n", board.flags);
     }
-    if (fclose(log)) fail("the log cannot be written");
 
     board_command(&board, DISARM);
     do {
         board_sample(&board, &sample, torque);
     } while (board.safety == ARMED || board.safety == RAMP_DOWN);
+    int damaged = ferror(log);
+    if (fclose(log) || damaged) fail("the log cannot be written");
     printf("%ld ticks\n", ticks);
     return 0;
 }

@@ -1,6 +1,6 @@
 """Client of a foretorque board in one file, and an example loop: read drives, sample, torque, drives, log.
 
-    python3 foretorque.py PORT [--seconds 5] [--log log.csv]
+    python3 foretorque.py PORT [--seconds 5] [--period-s 0.001] [--log log.csv]
 
 Standard library and a POSIX system; the messages are those of docs/protocol.md. Put your drives in the place of
 SimulatedDrives. The torque of a board adds to the position loop of the drives, which must hold the arm alone.
@@ -63,10 +63,13 @@ class Board:
 
     def __init__(self, port, timeout_s=2.0):
         self.port = os.open(port, os.O_RDWR | os.O_NOCTTY)
-        tty.setraw(self.port)
-        settings = termios.tcgetattr(self.port)
-        settings[4] = settings[5] = termios.B2000000
-        termios.tcsetattr(self.port, termios.TCSANOW, settings)
+        try:
+            tty.setraw(self.port)
+            settings = termios.tcgetattr(self.port)
+            settings[4] = settings[5] = termios.B2000000
+            termios.tcsetattr(self.port, termios.TCSANOW, settings)
+        except termios.error as error:
+            raise OSError(f"{port} is not a serial port: {error.args[-1]}") from error
         self.timeout_s, self.waiting, self.sequence, self.period = timeout_s, b"", 0, 0
         self.telemetry = []  # (tick, fields, bytes) that came unasked
         os.write(self.port, b"\0")
@@ -74,6 +77,9 @@ class Board:
         self.arm_hash, length = struct.unpack_from("<IB", hello)
         self.arm_name = hello[5 : 5 + length].decode()
         self.joints = hello[5 + length]
+        place = 7 + length
+        place += 8 + hello[place]  # version, capabilities, counter
+        self.configuration = hello[place : place + 8]
         self.safety = (0, 0)
 
     def _frame(self, deadline):
@@ -122,6 +128,13 @@ class Board:
         self.tick, self.flags, *self.safety = struct.unpack_from("<IHBB", reply)
         return list(struct.unpack_from(f"<{self.joints}f", reply, 8))
 
+    def configure(self, period_s):
+        """Sets the period of the samples where it is another one. Only while disarmed and with learning off."""
+        period = struct.pack("<I", round(1e6 * period_s))
+        if period != self.configuration[:4]:
+            self.configuration = period + self.configuration[4:]
+            self._ask(b"\x03" + self.configuration, 4)
+
     def arm(self, desired, measured):
         """Shows the board where the arm stands, and lets torque through."""
         for _ in range(20):
@@ -166,39 +179,68 @@ def motion(t_s, start):
     )
 
 
-def main():
-    arguments = argparse.ArgumentParser(description="Drive simulated drives with the torque of a board.")
-    arguments.add_argument("port")
-    arguments.add_argument("--seconds", type=float, default=5.0)
-    arguments.add_argument("--period-s", type=float, default=1e-3)
-    arguments.add_argument("--start", type=lambda text: [float(q) for q in text.split(",")], help="pose, rad,...")
-    arguments.add_argument("--log", default="log.csv")
-    chosen = arguments.parse_args()
-    board = Board(chosen.port)
+def positive(text):
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
+
+
+def angles(text):
+    values = [float(angle) for angle in text.split(",")]
+    if not all(map(math.isfinite, values)):
+        raise argparse.ArgumentTypeError(f"{text} has an angle that is not finite")
+    return values
+
+
+def drive(board, drives, start, chosen, log):
+    """The example loop: arms, moves for the ticks chosen, and disarms whatever happens."""
     joints = board.joints
-    print(f"{board.arm_name}, {joints} joints")
-    start = chosen.start or [0.0] * joints
-    drives = SimulatedDrives(start)
-    rest = (start, [0.0] * joints, [0.0] * joints)
-    board.arm(rest, drives.read())
     names = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2"), ("tau", "nm"), ("feed_forward", "nm")]
-    with open(chosen.log, "w", newline="") as file:
-        log = csv.writer(file)
-        log.writerow(["t_s"] + [f"{name}{j}_{unit}" for name, unit in names for j in range(1, joints + 1)] + ["flags"])
+    log.writerow(["t_s"] + [f"{name}{j}_{unit}" for name, unit in names for j in range(1, joints + 1)] + ["flags"])
+    desired = (start, [0.0] * joints, [0.0] * joints)
+    try:
+        board.arm(desired, drives.read())
         begin = time.monotonic()
-        for tick in range(round(chosen.seconds / chosen.period_s)):
+        for tick in range(chosen.ticks):
             t_s = tick * chosen.period_s
             time.sleep(max(0.0, begin + t_s - time.monotonic()))
             measured = drives.read()
             desired = motion(t_s, start)
             torque = board.sample(desired, measured)
             if board.safety[0] != ARMED:
-                sys.exit(f"the board ended the torque: state {board.safety[0]}, reason {board.safety[1]} (docs/safety.md)")
+                raise RuntimeError(
+                    f"the board ended the torque: state {board.safety[0]}, reason {board.safety[1]} (docs/safety.md)"
+                )
             drives.command(desired[0], desired[1], torque)
             # The torque acts in the next period, the measurement is from before it.
             log.writerow([t_s, *measured[0], *desired[1], *desired[2], *measured[1], *torque, board.flags])
-    board.disarm(desired, drives.read())
-    print(f"{tick + 1} ticks, {chosen.log}")
+    finally:
+        board.disarm(desired, drives.read())
+
+
+def main():
+    arguments = argparse.ArgumentParser(description="Drive simulated drives with the torque of a board.")
+    arguments.add_argument("port")
+    arguments.add_argument("--seconds", type=positive, default=5.0)
+    arguments.add_argument("--period-s", type=positive, default=1e-3)
+    arguments.add_argument("--start", type=angles, help="pose, rad,...")
+    arguments.add_argument("--log", default="log.csv")
+    chosen = arguments.parse_args()
+    if not 1e-4 <= chosen.period_s <= 0.02:
+        arguments.error(f"argument --period-s: {chosen.period_s} is not between 0.0001 and 0.02")
+    chosen.ticks = round(chosen.seconds / chosen.period_s)
+    if chosen.ticks == 0:
+        arguments.error(f"argument --seconds: {chosen.seconds} is less than a period")
+    board = Board(chosen.port)
+    print(f"{board.arm_name}, {board.joints} joints")
+    start = chosen.start or [0.0] * board.joints
+    if len(start) != board.joints:
+        arguments.error(f"argument --start: {len(start)} angles for {board.joints} joints")
+    board.configure(chosen.period_s)
+    with open(chosen.log, "w", newline="") as file:
+        drive(board, SimulatedDrives(start), start, chosen, csv.writer(file))
+    print(f"{chosen.ticks} ticks, {chosen.log}")
 
 
 if __name__ == "__main__":
@@ -206,3 +248,5 @@ if __name__ == "__main__":
         main()
     except (OSError, RuntimeError, TimeoutError, Refused) as failure:
         sys.exit(f"error: {failure}")
+    except KeyboardInterrupt:
+        sys.exit("error: interrupted")

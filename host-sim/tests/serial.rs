@@ -15,6 +15,7 @@ use serialport::TTYPort;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Mutex;
 use std::time::Duration;
 
 /// Output of `work` with the port of a pseudo-terminal at which `board` answers.
@@ -113,6 +114,139 @@ fn client(name: &str) -> PathBuf {
     clients.join(name)
 }
 
+/// The client in C, where there is a compiler.
+fn compiled(here: &Path) -> Option<PathBuf> {
+    let program = here.join("client");
+    let mut compiler = Command::new("cc");
+    compiler.args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-o"]);
+    compiler.arg(&program).arg(client("foretorque.c"));
+    match compiler.arg("-lm").output() {
+        Err(error) => {
+            println!("skipped: cc: {error}");
+            None
+        }
+        Ok(done) => {
+            let stderr = String::from_utf8_lossy(&done.stderr);
+            assert!(done.status.success(), "{stderr}");
+            Some(program)
+        }
+    }
+}
+
+/// A board that keeps the bytes it received.
+struct Tap<'a>(Native<Ur5, 6, 40>, &'a Mutex<Vec<u8>>);
+
+impl Transport for Tap<'_> {
+    fn name(&self) -> String {
+        self.0.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.1.lock().expect("no panic").extend(bytes);
+        self.0.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
+        self.0.receive(buffer, timeout)
+    }
+}
+
+/// Exit code and errors of a client of a board, and the tags of its messages.
+fn tapped(command: impl FnOnce(&str) -> Command) -> (Option<i32>, String, Vec<u8>) {
+    let received = Mutex::default();
+    let output = with_board(Tap(ur5(), &received), |port| command(port).output());
+    let output = output.expect("the client starts");
+    let received = received.into_inner().expect("no panic");
+    // Behind the length of the first block, version and number.
+    let frames = received.split(|byte| *byte == 0);
+    let tags = frames.filter_map(|frame| frame.get(4).copied());
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    (output.status.code(), stderr, tags.collect())
+}
+
+/// Tags of messages to a board.
+const CONFIGURE: u8 = 3;
+const ARM: u8 = 10;
+const DISARM: u8 = 11;
+
+#[test]
+fn clients_refuse_mistakes_before_they_arm() {
+    let here = directory("client-mistakes");
+    let python = python::with("termios");
+    let program = compiled(&here);
+    let cases = [
+        (["--seconds", "0"], vec!["0"]),
+        (["--seconds", "-1"], vec!["-1"]),
+        (["--seconds", "nan"], vec!["nan"]),
+        (
+            ["--period-s", "0"],
+            vec!["1", "log.csv", "0,0,0,0,0,0,0,0,0"],
+        ),
+        (["--start", "0,0,0"], vec!["1", "log.csv", "0,0,0"]),
+        (
+            ["--start", "0,0,0,0,0,0,0"],
+            vec!["1", "log.csv", "0,0,0,0,0,0,0"],
+        ),
+        (["--start", "a,b"], vec!["1", "log.csv", "a,b"]),
+    ];
+    for (options, words) in cases {
+        let python = python.as_ref().map(|python| {
+            let mut command = Command::new(python);
+            command.arg("-B").arg(client("foretorque.py"));
+            (command, options.to_vec())
+        });
+        let c = program
+            .as_ref()
+            .map(|program| (Command::new(program), words));
+        for (mut command, words) in python.into_iter().chain(c) {
+            command.current_dir(&here);
+            let (code, stderr, tags) = tapped(|port| {
+                command.arg(port).args(&words);
+                command
+            });
+            assert_eq!(code, Some(2), "{words:?}: {stderr}");
+            let last = stderr.lines().last().expect("a line");
+            assert_contains(last, "error: ");
+            assert!(!stderr.contains("Traceback"), "{stderr}");
+            assert!(!tags.contains(&ARM), "{words:?}");
+        }
+    }
+    assert!(files(&here).iter().all(|name| name == "client"));
+}
+
+#[test]
+fn a_client_sets_its_period_and_disarms_after_a_failure() {
+    let Some(python) = python::with("termios") else {
+        return;
+    };
+    let here = directory("client-period");
+    let run = |options: &[&str]| {
+        tapped(|port| {
+            let mut command = Command::new(&python);
+            command.arg("-B").arg(client("foretorque.py")).arg(port);
+            command.current_dir(&here).args(options);
+            command
+        })
+    };
+    let (code, stderr, tags) = run(&["--seconds", "0.2", "--period-s", "0.002"]);
+    assert_eq!(code, Some(0), "{stderr}");
+    let place = |tag| tags.iter().position(|sent| *sent == tag);
+    assert!(place(CONFIGURE).expect("it configures") < place(ARM).expect("it arms"));
+    let table = text(here.join("log.csv"));
+    assert_eq!(table.lines().count(), 101);
+    // From zero to the torque limit in 20 ms.
+    let row = table.lines().nth(1).expect("a row");
+    let shoulder = row.split(',').nth(26).expect("a torque");
+    let shoulder = shoulder.parse::<f32>().expect("a number").abs();
+    let expected = 0.1 * Ur5::LIMITS[1].torque;
+    assert!((shoulder - expected).abs() < 1e-3, "{shoulder}");
+
+    let (code, stderr, tags) = run(&["--log", "/dev/full"]);
+    assert_eq!(code, Some(1));
+    assert_eq!(stderr.lines().count(), 1, "{stderr}");
+    assert!(tags.contains(&ARM) && tags.contains(&DISARM));
+}
+
 /// Rows of the log that a client writes while it drives a board of the UR5 for a second.
 ///
 /// * `command` the client, given the port of the board
@@ -163,25 +297,13 @@ fn python_and_c_drive_a_board_and_get_the_same_torques() {
             command
         }));
     }
-    let program = here.join("client");
-    let mut compiler = Command::new("cc");
-    compiler.args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-o"]);
-    compiler
-        .arg(&program)
-        .arg(client("foretorque.c"))
-        .arg("-lm");
-    match compiler.output() {
-        Err(error) => println!("skipped: cc: {error}"),
-        Ok(done) => {
-            let stderr = String::from_utf8_lossy(&done.stderr);
-            assert!(done.status.success(), "{stderr}");
-            let log = here.join("c.csv");
-            logs.push(driven(&log, |port| {
-                let mut command = Command::new(&program);
-                command.args([port, "1"]).arg(&log).arg(START);
-                command
-            }));
-        }
+    if let Some(program) = compiled(&here) {
+        let log = here.join("c.csv");
+        logs.push(driven(&log, |port| {
+            let mut command = Command::new(&program);
+            command.args([port, "1"]).arg(&log).arg(START);
+            command
+        }));
     }
     for rows in &logs {
         torques_are_those_of_the_description(rows);
