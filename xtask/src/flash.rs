@@ -1,7 +1,7 @@
 //! From the linked ELF to the board: images for any programmer, and the ELF itself through probe-rs.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use crc::{CRC_32_ISO_HDLC, Crc};
@@ -10,11 +10,12 @@ use elf::abi::PT_LOAD;
 use elf::endian::LittleEndian;
 use ihex::Record;
 
-use crate::runs::ELF_COPY;
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command, shown};
 use crate::toolchain;
 
+/// The flashable ELF that the demo emulated, kept beside its report for comparison with the one that is flashed.
+pub(crate) const ELF_COPY: &str = "target/foretorque/demo/joint.elf";
 /// Where the images go, from the workspace's root.
 const OUT: &str = "target/foretorque/flash";
 /// Name of the boards' chip for probe-rs.
@@ -59,12 +60,8 @@ pub(crate) fn run(
     shell::run(firmware.args(["--bin", binary]))?;
     let elf = toolchain::elf(binary);
     let bytes = shell::read(&elf)?;
-    let mut sealed = bytes.clone();
-    write_images(&seal(&mut sealed)?, binary)?;
-    let sealed_elf = image(binary, "elf");
-    shell::write(&sealed_elf, &sealed)?;
     println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());
-    println!("      {} (likewise, with its checksum)", shown(&sealed_elf));
+    let sealed_elf = write_images(&bytes, &shell::root().join(OUT).join(binary))?;
     if binary == BOARDS[0].1 {
         println!("demo: {}", compared(&bytes));
     }
@@ -176,17 +173,22 @@ fn flat(segments: &[(u32, &[u8])]) -> Result<Vec<u8>> {
     Ok(image)
 }
 
-fn write_images(program: &[u8], name: &str) -> Result<()> {
-    let (bin, hex) = (image(name, "bin"), image(name, "hex"));
-    shell::write(&bin, program)?;
-    shell::write(&hex, intel_hex(program)?)?;
+/// Writes the program of the ELF file `elf` with its checksum to `place`.bin, .hex and .elf; returns the last.
+pub(crate) fn write_images(elf: &[u8], place: &Path) -> Result<PathBuf> {
+    let mut sealed = elf.to_vec();
+    let program = seal(&mut sealed)?;
+    let [bin, hex, elf] = ["bin", "hex", "elf"].map(|kind| place.with_extension(kind));
+    shell::write(&bin, &program)?;
+    shell::write(&hex, intel_hex(&program)?)?;
+    shell::write(&elf, &sealed)?;
+    println!("      {} (likewise, with its checksum)", shown(&elf));
     println!(
         "bin:  {} ({} bytes from {FLASH_START:#010x})",
         shown(&bin),
         program.len()
     );
     println!("hex:  {} (likewise)", shown(&hex));
-    Ok(())
+    Ok(elf)
 }
 
 fn intel_hex(program: &[u8]) -> Result<String> {
@@ -206,12 +208,6 @@ fn intel_hex(program: &[u8]) -> Result<String> {
     records.push(Record::EndOfFile);
     let text = ihex::create_object_file_representation(&records);
     Ok(text.context("a line of the HEX file is too long")? + "\n")
-}
-
-/// Place of an image.
-fn image(binary: &str, kind: &str) -> PathBuf {
-    let out = shell::root().join(OUT);
-    out.join(binary).with_extension(kind)
 }
 
 #[cfg(test)]

@@ -6,12 +6,10 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result};
 
+use crate::flash::{self, ELF_COPY};
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command};
 use crate::toolchain::{self, PROFILE, TARGET, Toolchain};
-
-/// The flashable ELF that the demo emulated, kept beside its report for comparison with the one that is flashed.
-pub(crate) const ELF_COPY: &str = "target/foretorque/demo/joint.elf";
 
 /// Sets up, builds both sides, and runs the demo experiment on the board's ELF files.
 pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
@@ -66,7 +64,7 @@ const LARGER: [(usize, &str, &str); 2] = [
     (8, "host-sim/robots/eight.toml", "eight"),
 ];
 
-/// Sets up, builds `joint` and `bulk` for the arm of a file, and prints how to run them.
+/// Sets up, builds `joint` and `bulk` for the arm of a file, writes the images to flash, and prints how to run it.
 ///
 /// * `selection` options of `host-sim` that pick the arm from the file
 pub(crate) fn arm(forced: Option<Way>, urdf: &str, name: &str, selection: &[String]) -> Result<()> {
@@ -80,6 +78,9 @@ pub(crate) fn arm(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
         (&urdf, name, selection),
         &["joint", "bulk"],
     )?;
+    let joint = out.join("joint");
+    println!("ELF:  {}", shell::shown(&joint));
+    flash::write_images(&shell::read(&joint)?, &joint)?;
     println!(
         "host-sim run --robot {} --board qemu … runs it",
         shell::shown(&out.join(name).with_extension("toml"))

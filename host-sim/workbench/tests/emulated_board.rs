@@ -147,7 +147,10 @@ fn a_board_out_of_scope_leaves_no_process_and_the_bulk_firmware_ends_by_itself()
 fn a_firmware_that_is_missing_or_none_is_reported() {
     let none = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
     for (elf, words) in [
-        ("/nowhere/joint", &["no firmware at /nowhere/joint"][..]),
+        (
+            "/nowhere/joint",
+            &["no firmware at /nowhere/joint", "`cargo xtask arm`"][..],
+        ),
         (none, &["died", "fatal"]),
     ] {
         let mut options = QemuOptions::new(Image::Joint);
@@ -155,6 +158,8 @@ fn a_firmware_that_is_missing_or_none_is_reported() {
         let text = Emulator::start(&options).expect_err(elf).to_string();
         assert!(words.iter().all(|word| text.contains(word)), "{text}");
     }
+    let elf = Image::Bulk.elf_of("an arm without images");
+    assert!(!elf.display().to_string().contains(".."), "{elf:?}");
 }
 
 #[test]

@@ -48,7 +48,9 @@ impl Emulator {
     pub fn start(options: &QemuOptions) -> io::Result<Self> {
         if !options.elf.is_file() {
             let elf = options.elf.display();
-            let problem = format!("no firmware at {elf}: build it with `cargo firmware`");
+            let problem = format!(
+                "no firmware at {elf}: `cargo firmware` builds that of the UR5, `cargo xtask arm` that of others"
+            );
             return Err(io::Error::other(problem));
         }
         let mut command = Command::new(EMULATOR);
@@ -291,6 +293,13 @@ pub enum Image {
     Bulk,
 }
 
+/// Directory of everything built, under the workspace root.
+fn builds() -> PathBuf {
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = package.ancestors().nth(2).unwrap_or(package);
+    root.join("target")
+}
+
 impl Image {
     /// Name of the binary.
     pub const fn name(self) -> &'static str {
@@ -302,14 +311,13 @@ impl Image {
 
     /// Place where the build leaves the ELF: `target/thumbv7em-none-eabihf/firmware/` under the workspace root.
     pub fn default_elf(self) -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../../target/thumbv7em-none-eabihf/firmware")
-            .join(self.name())
+        let elves = builds().join("thumbv7em-none-eabihf/firmware");
+        elves.join(self.name())
     }
 
     /// The ELF for the arm called `arm`: that of `cargo xtask arm` where there is one, else [`Self::default_elf`].
     pub fn elf_of(self, arm: &str) -> PathBuf {
-        let arms = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/foretorque/arms");
+        let arms = builds().join("foretorque/arms");
         let own = arms.join(arm).join(self.name());
         if own.is_file() {
             own
