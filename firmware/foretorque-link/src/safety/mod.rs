@@ -271,7 +271,7 @@ impl<const N: usize> Safety<N> {
         }
         let wanted = self.with_brakes::<A, P>(&torque, &feed_forward.state().committed);
         torque.total = self.release(&wanted);
-        feed_forward.applied(&torque.total);
+        feed_forward.applied_within_limits(&torque.total);
         torque
     }
 

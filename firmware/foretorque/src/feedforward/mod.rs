@@ -176,6 +176,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         }
     }
 
+    /// [`applied`](Self::applied) without its check: `total` is finite and within the torque limits of the arm, as that of
+    /// the safety state machine is in every tick.
+    #[doc(hidden)]
+    pub fn applied_within_limits(&mut self, total: &JointVector<N>) {
+        self.state.last.total = *total;
+    }
+
     /// A tick without a sample; see [`step_stale`].
     pub fn step_stale(&mut self) -> Torque<N> {
         *step_stale(&self.config, &mut self.state)

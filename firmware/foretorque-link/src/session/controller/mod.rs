@@ -200,7 +200,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             }
             self.safety.release(&wanted);
         }
-        self.feed_forward.applied(self.safety.output());
+        self.feed_forward
+            .applied_within_limits(self.safety.output());
         None
     }
 
@@ -217,7 +218,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             self.counters.ticks = self.counters.ticks.wrapping_add(1);
             self.counters.stale = self.counters.stale.saturating_add(1);
         }
-        self.feed_forward.applied(self.safety.output());
+        self.feed_forward
+            .applied_within_limits(self.safety.output());
     }
 
     /// One tick. Its deadline is the period.
