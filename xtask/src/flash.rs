@@ -12,7 +12,6 @@ use ihex::Record;
 
 use crate::setup::{self, Way};
 use crate::shell::{self, capture, command, shown};
-use crate::toolchain;
 
 /// The flashable ELF that the demo emulated, kept beside its report for comparison with the one that is flashed.
 pub(crate) const ELF_COPY: &str = "target/foretorque/demo/joint.elf";
@@ -58,7 +57,7 @@ pub(crate) fn run(
     let tools = setup::run(forced)?;
     let mut firmware = tools.board.board_cargo("build");
     shell::run(firmware.args(["--bin", binary]))?;
-    let elf = toolchain::elf(binary);
+    let elf = shell::elf(binary);
     let bytes = shell::read(&elf)?;
     println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());
     let sealed_elf = write_images(&bytes, &shell::root().join(OUT).join(binary))?;

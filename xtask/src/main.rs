@@ -8,7 +8,6 @@ mod runs;
 mod setup;
 mod shell;
 mod test;
-mod toolchain;
 mod words;
 
 use std::num::NonZeroU64;

@@ -7,8 +7,7 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail, ensure};
 
 use crate::setup::{self, Way};
-use crate::shell::{self, capture, command};
-use crate::toolchain::{self, PROFILE, TARGET, Toolchain, Tools};
+use crate::shell::{self, PROFILE, TARGET, Toolchain, Tools, capture, command};
 
 /// Manifest of a user's crate with its own arm and critical section.
 const OWN_ARM: &str = "firmware/foretorque/examples/own_arm/Cargo.toml";
@@ -96,8 +95,8 @@ pub(crate) fn capi(forced: Option<Way>) -> Result<()> {
     build_capi(tools)?;
     println!(
         "library: {}\nheader:  {PLACE}/include/foretorque.h\nexample: {}",
-        toolchain::elf("libforetorque_capi.a").display(),
-        toolchain::elf("capi-example").display()
+        shell::elf("libforetorque_capi.a").display(),
+        shell::elf("capi-example").display()
     );
     Ok(())
 }
@@ -123,11 +122,11 @@ pub(crate) fn build_capi(tools: Tools) -> Result<()> {
         .arg(place.join("include"))
         .arg(example.join("main.c"))
         .arg(example.join("startup.c"))
-        .arg(toolchain::elf("libforetorque_capi.a"))
+        .arg(shell::elf("libforetorque_capi.a"))
         .arg("-T")
         .arg(example.join("link.ld"))
         .args(["-Wl,--gc-sections", "-Wl,-z,noexecstack", "-o"])
-        .arg(toolchain::elf("capi-example"));
+        .arg(shell::elf("capi-example"));
     shell::run(&mut compiler).context("the example in C does not build")
 }
 

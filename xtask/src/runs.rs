@@ -8,8 +8,7 @@ use anyhow::{Context as _, Result};
 
 use crate::flash::{self, ELF_COPY};
 use crate::setup::{self, Way};
-use crate::shell::{self, capture, command};
-use crate::toolchain::{self, PROFILE, TARGET, Toolchain};
+use crate::shell::{self, PROFILE, TARGET, Toolchain, capture, command};
 
 /// Sets up, builds both sides, and runs the demo experiment on the board's ELF files.
 pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
@@ -20,7 +19,7 @@ pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
     let mut host_sim = command(&host_sim()?.to_string_lossy());
     println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
     shell::run(host_sim.args(["experiment", "demo", "--out", "target/foretorque/demo"]))?;
-    let elf = toolchain::elf("joint");
+    let elf = shell::elf("joint");
     let copied = fs::copy(&elf, shell::root().join(ELF_COPY))
         .with_context(|| format!("cannot copy {}", elf.display()))?;
     println!(
@@ -50,7 +49,7 @@ pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     shell::run(build.args(images.iter().flat_map(|image| ["--bin", image])))?;
     let version = capture(board.tool("rustc").arg("--version"));
     let version = version.context("rustc reports no version")?;
-    let (elves, root) = (toolchain::elves(), shell::root());
+    let (elves, root) = (shell::elves(), shell::root());
     foretorque_cost::bench(&elves, &arms, &root, version.trim(), accept)
 }
 

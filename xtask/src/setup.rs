@@ -9,8 +9,9 @@ use std::{env, fmt, process};
 
 use anyhow::{Context as _, Result, anyhow, bail};
 
-use crate::shell::{self, capture, command, run_bounded, timed};
-use crate::toolchain::{TARGET, Toolchain, Tools, linked_name};
+use crate::shell::{
+    self, TARGET, Toolchain, Tools, capture, command, linked_name, run_bounded, timed,
+};
 
 /// Bound on rustup if other ways are left, and if it is the only one.
 const RUSTUP_LIMIT_S: u32 = 60;

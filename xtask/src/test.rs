@@ -13,8 +13,7 @@ use crate::circles;
 use crate::outside;
 use crate::runs;
 use crate::setup::{self, Way};
-use crate::shell::{self, command, line};
-use crate::toolchain::{self, Tools};
+use crate::shell::{self, Tools, command, line};
 use crate::words;
 
 /// Result of a gate.
@@ -151,7 +150,7 @@ fn images(tools: Tools) -> Vec<Gate> {
         runs("firmware", firmware),
         gate("linked firmware", || {
             let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-            cost::check_firmware(&toolchain::elves(), &names)
+            cost::check_firmware(&shell::elves(), &names)
         }),
         gate("library for C", move || {
             outside::bring_compiler()?;

@@ -58,7 +58,7 @@
 //! # Guarantees
 //! * `no_std`, no allocation, no `unsafe`; memory is of fixed size.
 //! * A tick takes fixed time. No input makes it panic, and every torque is finite and within the arm's limits.
-//! * The learnt part of a torque is bounded, and removable in one call.
+//! * The learnt part of a torque is bounded, visible on its own ([`FeedForward::learnt_torque`](feedforward::FeedForward::learnt_torque)), and removable in one call.
 //! * Host and Cortex-M4F compute the same bits.
 //!
 //! # Features

@@ -162,6 +162,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         *step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
     }
 
+    /// Learnt part of the last torque, payload included, N × N·m: the torque of the loaded set is the rest, before limits.
+    pub fn learnt_torque(&self) -> &JointVector<N> {
+        &self.state.learned
+    }
+
     /// Sets the torque that the drives got, N × N·m: the next tick slews from there. A torque that was held back does
     /// not come all at once when it is released. It is cut to the torque limit; one that is not finite counts as 0.
     #[inline(never)]

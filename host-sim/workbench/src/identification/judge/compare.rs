@@ -1,9 +1,8 @@
 //! Torques of a log against those of the description: signs, sizes, noise.
 
 use super::explained::{Explained, explain, links, other_reading, weight};
-use super::{
-    DEVIATIONS, Extremes, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE, SOUND_SIZE,
-};
+use super::ranges::Extremes;
+use super::{DEVIATIONS, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE, SOUND_SIZE};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;

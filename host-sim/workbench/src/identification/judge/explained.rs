@@ -1,7 +1,8 @@
 //! Torques as the description explains them, under the columns as they are read and under other readings: joints
 //! exchanged, positions of another scale, direction or zero, and gravity of another direction.
 
-use super::{CENTRE_M, Extremes, GRAVITY_SHARE, SOUND_SCALE};
+use super::ranges::Extremes;
+use super::{CENTRE_M, GRAVITY_SHARE, SOUND_SCALE};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;

@@ -1,0 +1,321 @@
+//! Ranges of a log joint by joint: units, quantities in each other's columns, single wrong rows, and sensors that are cut
+//! off or stuck.
+
+use super::{Judgement, MOVED};
+use crate::identification::IdentifyError;
+use crate::identification::clock::GAP_PERIODS;
+use crate::identification::log::{LogRow, Roughness};
+use crate::identification::whole_log::WholeLog;
+use crate::robot::{Joint, Robot};
+use std::path::Path;
+
+/// Positions and torques this many times their limits are in other units.
+const BEYOND: f64 = 3.0;
+/// Change of a sound position over its logged velocity, or its reciprocal.
+const SOUND_RATE: f64 = 1.25;
+/// Share of the rows in which a torque is cut off that is noted, and that is refused.
+const CUT_SHARE: (f64, f64) = (0.01, 0.05);
+/// Time for which no sensor gives one value while its joint moves, s.
+const STUCK_S: f64 = 0.5;
+/// Largest share of rows that count as errors of single rows.
+const FEW: f64 = 0.01;
+/// Remedy for single rows that are wrong.
+const ROWS_REMEDY: &str = "delete these rows (up to four in a row are put in again)";
+
+/// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Extremes {
+    pub(super) position: (f64, f64),
+    pub(super) speed: f64,
+    /// Time of that speed, s, and steps beyond what the joint can do.
+    fastest_s: f64,
+    fast: f64,
+    torque: f64,
+    /// Time of that torque, s, and rows beyond what the joint can do.
+    strongest_s: f64,
+    strong: f64,
+    /// Torques are drive gain × current.
+    currents: bool,
+    /// Largest torques of either sign while the joint moves, and rows in which it does.
+    tops: [Top; 2],
+    moving: f64,
+    /// Longest time for which the torque of the moving joint did not change, and that which lasts, from … to, s.
+    stuck: [(f64, f64); 2],
+    pub(super) power: f64,
+    scatter: f64,
+    pub(super) rows: f64,
+    at_top: f64,
+    spikes: f64,
+    /// Squares of the change of positions and of the logged velocities, and their product.
+    rates: [f64; 3],
+    /// Of position and torque.
+    rough: [Roughness; 2],
+}
+
+/// Largest value of a signal and the largest below it, and rows with each.
+#[derive(Clone, Copy, Default)]
+struct Top([(f64, f64); 2]);
+
+impl Top {
+    fn add(&mut self, value: f64) {
+        let [first, second] = &mut self.0;
+        if value > first.0 {
+            (*second, *first) = (*first, (value, 1.0));
+        } else if value == first.0 {
+            first.1 += 1.0;
+        } else if value > second.0 {
+            *second = (value, 1.0);
+        } else if value == second.0 {
+            second.1 += 1.0;
+        }
+    }
+
+    /// Value at which a signal of so many `rows` is cut off, with the share of the rows there. A signal of coarse steps has
+    /// rows at its second largest value, too.
+    fn cut(&self, rows: f64) -> Option<(f64, f64)> {
+        let [first, second] = self.0;
+        let share = first.1 / f64::max(rows, 1.0);
+        (share > CUT_SHARE.0 && first.1 > 10.0 * second.1).then_some((first.0, share))
+    }
+}
+
+impl Extremes {
+    pub(super) fn none() -> Self {
+        Self {
+            position: (f64::INFINITY, f64::NEG_INFINITY),
+            tops: [Top([(f64::NEG_INFINITY, 0.0); 2]); 2],
+            ..Self::default()
+        }
+    }
+
+    /// The joint moved fast and far enough to be judged by its motion.
+    pub(super) fn moved(&self) -> bool {
+        let (low, high) = self.position;
+        self.speed > MOVED.0 && high - low > MOVED.1
+    }
+
+    /// Range of the change of positions over the logged velocities: noise of either enters one end alone.
+    fn rate_ratio(&self) -> Option<(f64, f64)> {
+        let [change, logged, product] = self.rates;
+        (product > 0.0 && self.moved()).then(|| (product / logged, change / product))
+    }
+
+    /// Torque that never changes while the joint moves, N·m.
+    pub(super) fn constant(&self) -> Option<f64> {
+        let [(most, rows), _] = self.tops[0].0;
+        (rows > 0.0 && rows == self.moving).then_some(most)
+    }
+
+    /// RMS torque while the joint moves, N·m.
+    pub(super) fn rms(&self) -> f64 {
+        (self.power / f64::max(self.rows, 1.0)).sqrt()
+    }
+
+    /// Noise of a row of the torque, N·m: the second difference of white noise has six times its variance.
+    pub(super) fn noise(&self) -> f64 {
+        (self.scatter / f64::max(self.rows, 1.0) / 6.0).sqrt()
+    }
+}
+
+/// Ranges of a log as it is, and the time between its rows, s.
+pub(super) fn scan(
+    path: &Path,
+    robot: &Robot,
+    extremes: &mut [Extremes],
+) -> Result<f64, IdentifyError> {
+    let mut log = WholeLog::open(path, robot)?;
+    let period_s = log.period_s();
+    let currents = log.reader.has_currents;
+    extremes
+        .iter_mut()
+        .for_each(|sums| sums.currents = currents);
+    let mut last: Vec<LogRow> = Vec::new();
+    let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
+    rough.for_each(Roughness::pause);
+    while let Some(row) = log.next_row()? {
+        // Over a gap an angle may have wrapped.
+        let before = last.last();
+        if before.is_some_and(|before| row.t_s - before.t_s > GAP_PERIODS * period_s) {
+            last.clear();
+        }
+        for (joint, sums) in extremes.iter_mut().enumerate() {
+            let (q, tau) = (row.q[joint], row.tau[joint]);
+            let limits = &robot.joints[joint].limits;
+            let limit = limits.torque;
+            sums.position = (sums.position.0.min(q), sums.position.1.max(q));
+            if tau.abs() > sums.torque {
+                (sums.torque, sums.strongest_s) = (tau.abs(), row.t_s);
+            }
+            sums.strong += f64::from(tau.abs() > BEYOND * limit);
+            sums.rough[0].add(q);
+            sums.scatter += sums.rough[1].add(tau);
+            if let [a, b] = &last[..] {
+                let qd = (q - a.q[joint]) / (row.t_s - a.t_s);
+                if qd.abs() > sums.speed {
+                    (sums.speed, sums.fastest_s) = (qd.abs(), b.t_s);
+                }
+                sums.fast += f64::from(qd.abs() > BEYOND * limits.velocity);
+                if qd.abs() > MOVED.0 {
+                    let [most, least] = &mut sums.tops;
+                    most.add(tau);
+                    least.add(-tau);
+                    sums.moving += 1.0;
+                }
+                let [longest, lasting] = &mut sums.stuck;
+                if qd.abs() <= MOVED.0 || tau != b.tau[joint] {
+                    *lasting = (row.t_s, row.t_s);
+                }
+                lasting.1 = row.t_s;
+                if lasting.1 - lasting.0 > longest.1 - longest.0 {
+                    *longest = *lasting;
+                }
+                let logged = b.qd[joint];
+                let products = [qd * qd, logged * logged, qd * logged];
+                sums.rates = std::array::from_fn(|k| sums.rates[k] + products[k]);
+                sums.power += tau * tau;
+                sums.rows += 1.0;
+                let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
+                sums.spikes += f64::from(jumps > (0.2 * limit).powi(2));
+                sums.at_top += f64::from(tau.abs() >= 0.995 * limit);
+            } else {
+                sums.stuck[1] = (row.t_s, row.t_s);
+            }
+        }
+        if last.len() == 2 {
+            last.remove(0);
+        }
+        last.push(row);
+    }
+    Ok(period_s)
+}
+
+/// Findings on ranges: units, quantities in each other's columns, spikes, saturation.
+pub(super) fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
+    let joints = || robot.joints.iter().zip(extremes).enumerate();
+    let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough));
+    let most = |(low, high): (f64, f64)| low.abs().max(high.abs());
+    let far = joints().find(|(_, (joint, seen))| {
+        let beyond = most(seen.position) > BEYOND * most(joint.limits.position);
+        beyond || seen.speed > BEYOND * joint.limits.velocity
+    });
+    let fits = |joint: &Joint, seen: &Extremes| seen.torque <= 1.1 * most(joint.limits.position);
+    let many = swapped && joints().all(|(_, (joint, seen))| fits(joint, seen));
+    if let Some((number, (joint, seen))) = far {
+        let text = if many {
+            "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
+        } else {
+            let (most, (low, high)) = (most(seen.position), joint.limits.position);
+            let fits = most <= BEYOND * low.abs().max(high.abs());
+            if fits && seen.fast <= 2.0 * FEW * seen.rows {
+                format!(
+                    "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {ROWS_REMEDY}, or are the limits too low (--velocity-limits)?",
+                    number + 1,
+                    seen.fastest_s,
+                    seen.speed,
+                    joint.limits.velocity,
+                    seen.fast
+                )
+            } else {
+                format!(
+                    "q{} reaches {most:.4} rad, and {:.4} rad/s at {:.3} s; its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg, for all logs), does it jump there, or are the limits too low (--velocity-limits; range of the description)?",
+                    number + 1,
+                    seen.speed,
+                    seen.fastest_s,
+                    joint.limits.velocity
+                )
+            }
+        };
+        judgement.find(true, text);
+        return;
+    }
+    if swapped {
+        let text = "positions and torques are swapped: the torque is the smoother of the two";
+        judgement.find(true, text);
+        return;
+    }
+    if let Some(text) = rates(extremes) {
+        judgement.find(true, text);
+        return;
+    }
+    let strong: Vec<_> = joints()
+        .filter(|(_, (joint, seen))| seen.rms() > BEYOND * joint.limits.torque)
+        .collect();
+    if let Some((number, (joint, seen))) = strong.first() {
+        let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
+        // One unit holds for all joints; their limits may be of different use.
+        let unit = match thousandth {
+            _ if seen.strong <= FEW * seen.rows => ROWS_REMEDY,
+            true if seen.currents => "are these mA (--units i=mA)?",
+            true if strong.len() * 3 > extremes.len() => {
+                "is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?"
+            }
+            true => "those of the others are within theirs; drive gain or unit?",
+            false => "drive gain, unit, or another arm?",
+        };
+        let text = format!(
+            "tau{} reaches {:.1} N·m at {:.3} s, its limit is {} N·m: {unit}",
+            number + 1,
+            seen.torque,
+            seen.strongest_s,
+            joint.limits.torque
+        );
+        judgement.find(true, text);
+    }
+    for (number, (_, seen)) in joints() {
+        if seen.constant().is_some() {
+            continue;
+        }
+        let findings = judgement.findings.len();
+        for (top, sign) in seen.tops.iter().zip([1.0, -1.0]) {
+            if let Some((value, share)) = top.cut(seen.moving).filter(|(value, _)| *value != 0.0) {
+                let (value, percent) = (sign * value, 100.0 * share);
+                judgement.find(share > CUT_SHARE.1, format!(
+                    "torque of joint {} is cut off at {value:.4} N·m in {percent:.1} % of the rows in which it moves: a slower path, or cut these rows out",
+                    number + 1
+                ));
+            }
+        }
+        let [(from_s, to_s), _] = seen.stuck;
+        if judgement.findings.len() == findings && to_s - from_s > STUCK_S {
+            judgement.find(false, format!(
+                "torque of joint {} does not change from {from_s:.3} to {to_s:.3} s while it moves: did its sensor stop, or is it cut off? Leave these rows out",
+                number + 1
+            ));
+        }
+        for (count, most, problem) in [
+            (seen.spikes, 0.5, "spikes of the torque"),
+            (seen.at_top, 1.0, "at its torque limit"),
+        ] {
+            let percent = 100.0 * count / f64::max(seen.rows, 1.0);
+            if percent > most {
+                let text = format!(
+                    "joint {}: {problem} in {percent:.1} % of the rows",
+                    number + 1
+                );
+                judgement.find(false, text);
+            }
+        }
+    }
+}
+
+/// Positions that change faster or slower than the logged velocities.
+fn rates(extremes: &[Extremes]) -> Option<String> {
+    let ratios = extremes.iter().enumerate();
+    let ratios = ratios.filter_map(|(joint, seen)| Some((joint + 1, seen.rate_ratio()?)));
+    let ratios: Vec<(usize, (f64, f64))> = ratios.collect();
+    let off = ratios
+        .iter()
+        .filter(|(_, (least, most))| *least > SOUND_RATE || *most < 1.0 / SOUND_RATE);
+    let off: Vec<_> = off.collect();
+    let (joint, (least, most)) = *off.first()?;
+    let ratio = (least * most).sqrt();
+    Some(if off.len() * 2 > ratios.len() {
+        format!(
+            "positions change {ratio:.2} times as fast as the logged velocities: are the times right (else rate_hz in --columns-from FILE), and the units (--units)?"
+        )
+    } else {
+        format!(
+            "positions of joint {joint} change {ratio:.2} times as fast as its logged velocities, those of the others do not: is the scale of one of the two wrong?"
+        )
+    })
+}
