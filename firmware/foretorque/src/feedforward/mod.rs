@@ -162,7 +162,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         *step::<A, N, P>(&self.config, &mut self.state, &mut self.scratch, sample)
     }
 
-    /// Learnt part of the last torque, payload included, N × N·m: the torque of the loaded set is the rest, before limits.
+    /// Part of the last torque that the committed set does not give, N × N·m: what was learnt since the last commit or load,
+    /// and the payload.
     pub fn learnt_torque(&self) -> &JointVector<N> {
         &self.state.learned
     }
