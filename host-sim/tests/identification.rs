@@ -228,14 +228,12 @@ fn the_bank_has_the_drive_gains_of_standstill() {
 }
 
 #[test]
-fn a_joint_that_stands_still_is_named_by_its_unseen_parameters_and_the_others_are_learnt() {
+fn a_joint_that_stands_still_is_named_and_the_others_are_learnt() {
     let here = directory("identify-still");
     log(&here.join("still.csv"), 2000, 0.0, Some(5), 0.1);
     let message = fails(&here, "identify --robot ur5 --log still.csv --out out");
-    for name in ["rank deficient", "Ia6", "Fv6", "Fc6"] {
-        assert_contains(&message, name);
-    }
-    assert!(!message.contains("Fv1"), "{message}");
+    assert_contains(&message, "rank deficient (");
+    assert_contains(&message, "joints at rest: 6: add a --log in which every joint moves");
     // The board learns the others: the reference is the description.
     let stdout = succeeds(&here, "replay --robot ur5 --log still.csv --out replayed");
     assert_contains(&stdout, "1.000 × the description without friction");

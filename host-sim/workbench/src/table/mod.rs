@@ -285,7 +285,7 @@ SOUND | : no rows
                 .expect_err(case);
             assert_eq!(error.to_string(), format!("{}{expected}", path.display()));
         }
-        let path = directory.path().join("book.xlsx");
+        let path = directory.path().join("book.dat");
         fs::write(&path, b"PK\x03\x04\xff\xfe").expect("writes");
         let error = StateReader::<1>::open(&path, TimeColumn::Required).err();
         let error = error.expect("no text").to_string();
