@@ -233,7 +233,10 @@ fn a_joint_that_stands_still_is_named_and_the_others_are_learnt() {
     log(&here.join("still.csv"), 2000, 0.0, Some(5), 0.1);
     let message = fails(&here, "identify --robot ur5 --log still.csv --out out");
     assert_contains(&message, "rank deficient (");
-    assert_contains(&message, "joints at rest: 6: add a --log in which every joint moves");
+    assert_contains(
+        &message,
+        "joints at rest: 6: add a --log in which every joint moves",
+    );
     // The board learns the others: the reference is the description.
     let stdout = succeeds(&here, "replay --robot ur5 --log still.csv --out replayed");
     assert_contains(&stdout, "1.000 × the description without friction");

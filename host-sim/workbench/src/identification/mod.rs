@@ -70,7 +70,6 @@ pub enum IdentifyError {
 
 /// The parameters that a motion does not show, or the joints that rest, and the remedy.
 fn unseen(names: &[String]) -> String {
-    const SHOWN: usize = 8;
     let is_unseen = |joint: &str| {
         let own = ["Fv", "Fc"].map(|symbol| format!("{symbol}{joint}"));
         own.iter().all(|own| names.contains(own))
@@ -92,12 +91,17 @@ fn unseen(names: &[String]) -> String {
         }
         false => "add a --log with a richer motion, such as that of `excite`",
     };
+    format!("it does not show {}: {remedy}", listed(names))
+}
+
+/// The first names, and how many there are more.
+fn listed(names: &[String]) -> String {
+    const SHOWN: usize = 8;
     let more = match names.len().saturating_sub(SHOWN) {
         0 => String::new(),
         more => format!(" and {more} more"),
     };
-    let names = names[..names.len().min(SHOWN)].join(", ");
-    format!("it does not show {names}{more}: {remedy}")
+    names[..names.len().min(SHOWN)].join(", ") + &more
 }
 
 /// The refusal of a log.

@@ -140,7 +140,10 @@ fn the_friction_share_sums_every_column_of_the_loaded_and_of_the_learned_set() {
         }
         let learnt = share_learned[joint] - share[joint];
         let error = tick.learnt_torque()[joint] - learnt;
-        assert!(learnt != 0.0 && error.abs() < 1e-4, "joint {joint}: {error}");
+        assert!(
+            learnt != 0.0 && error.abs() < 1e-4,
+            "joint {joint}: {error}"
+        );
     }
 }
 

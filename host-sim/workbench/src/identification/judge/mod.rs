@@ -12,12 +12,12 @@ mod ranges;
 pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, change, description};
 
-use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Thinned;
 use super::normal::NormalEquations;
 use super::prepare::{PrepareConfig, other_unit_of_time};
 use super::stream::for_each_prepared;
+use super::{IdentifyError, listed};
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use compare::compare;
@@ -168,8 +168,8 @@ pub fn judge(
     }
     match sums.check_rank(&layout) {
         Err(IdentifyError::RankDeficient(_, _, names)) => {
-            let names_text = names.join(", ");
-            judgement.find(false, format!("the motion does not show {names_text}"));
+            let text = format!("the motion does not show {}", listed(&names));
+            judgement.find(false, text);
             judgement.unseen = names;
         }
         Err(other) => return Err(other),
