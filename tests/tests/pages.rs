@@ -60,6 +60,23 @@ fn every_link_leads_to_a_file_and_its_heading() {
 }
 
 #[test]
+fn every_file_of_the_tree_that_a_page_names_is_there() {
+    let mut seen = 0;
+    for (path, text) in pages() {
+        for name in text.split('`').skip(1).step_by(2) {
+            let tree = ["firmware/", "host-sim/", "tests/", "xtask/", "docs/"];
+            let plain = !name.contains(|c: char| " *{<…".contains(c));
+            if plain && name.contains('.') && tree.iter().any(|top| name.starts_with(top)) {
+                let there = root().join(name).exists();
+                assert!(there, "{}: {name}", path.display());
+                seen += 1;
+            }
+        }
+    }
+    assert!(seen > 10, "only {seen} files were found");
+}
+
+#[test]
 fn every_test_that_a_page_names_is_there() {
     let mut seen = 0;
     for (path, text) in pages() {
