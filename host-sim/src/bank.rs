@@ -182,7 +182,9 @@ pub(super) fn read_for(path: &Path, robot: &Robot) -> Result<ParameterBank, Fail
     let bank = read(path)?;
     if bank.arm.as_str() != robot.name {
         let (path, arm, own) = (path.display(), &bank.arm, &robot.name);
-        show!("note: {path} is a bank of arm '{arm}', the robot is '{own}'; geometry decides")?;
+        show!(
+            "note: {path} is a bank of arm '{arm}', the robot is '{own}': it serves if their geometry is the same"
+        )?;
     }
     Ok(bank)
 }

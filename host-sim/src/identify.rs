@@ -1,5 +1,5 @@
 use super::arm::RobotOptions;
-use super::logs::LogOptions;
+use super::logs::{LogOptions, show_check};
 use super::terminal::{Lines, show};
 use super::{Failure, excite, not_negative, not_over, positive, sound, unusable, within};
 use clap::Args;
@@ -8,12 +8,11 @@ use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
-    ColumnSet, Finding, GainRecord, IdentifyConfig, IdentifyError, Judgement, Layout, METHODS,
-    MethodName, Outcome, PrepareConfig, bank_of_fit, identify, judge, page, unexplained,
-    with_gains,
+    ColumnSet, Finding, GainRecord, IdentifyConfig, Layout, METHODS, MethodName, Outcome,
+    PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
 };
 use foretorque_workbench::report::ReportFiles;
-use foretorque_workbench::report::page::{or_dash, ratio};
+use foretorque_workbench::report::page::ratio;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
@@ -118,7 +117,8 @@ fn fold_period_s(arguments: &Arguments, robot: &Robot) -> Result<Option<f64>, Fa
 }
 
 impl Arguments {
-    /// Errors: a result that would take the place of a file that is read; a training log that is given twice.
+    /// Errors: a result that would take the place of a file that is read, or that no earlier run wrote; a training log that is
+    /// given twice.
     fn check_files(&self) -> Result<(), Failure> {
         let logs = &self.logs;
         let twice = (1..logs.len()).find(|&place| logs[..place].contains(&logs[place]));
@@ -129,6 +129,14 @@ impl Arguments {
         let Some(out) = self.out.as_ref().filter(|_| !self.data_check) else {
             return Ok(());
         };
+        if !out.join("report.json").exists()
+            && let Some(file) = within(out, &RESULTS).find(|file| file.exists())
+        {
+            let file = file.display();
+            return Err(unusable(format!(
+                "--out: {file} is there without the report.json of an earlier run: choose another directory"
+            )));
+        }
         let truth = self.truth.iter().map(Path::new).flat_map(Robot::files);
         let read = self.robot.files().into_iter().chain(truth);
         let logs = [logs, &self.validate, &self.test].into_iter().flatten();
@@ -265,10 +273,7 @@ fn identify_arm(
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
     let bank = refused.map_or_else(|| bank(robot, &outcome), |_| None);
-    // Without a report beside them, files of these names are not of an earlier run.
-    if out.join("report.json").exists() {
-        remove_stale(out, &RESULTS)?;
-    }
+    remove_stale(out, &RESULTS)?;
     let shown = files.finish(report, &page(report, &outcome.trace))?;
     for note in &report.notes {
         show!("note  {note}")?;
@@ -361,70 +366,10 @@ fn newton_metres(joints: &[Option<f64>]) -> String {
     shown.collect::<Vec<_>>().join(" ")
 }
 
-/// Prints the judgement of `--data-check`.
-///
-/// Errors: the first finding that refuses; logs that do not show all `parameters`.
-fn show_check(judgement: &Judgement, parameters: usize) -> Result<(), Failure> {
-    show!("rows every {:.3} ms", 1e3 * judgement.period_s)?;
-    for note in &judgement.notes {
-        show!("note  {note}")?;
-    }
-    for (number, joint) in (1..).zip(&judgement.joints) {
-        let scale = or_dash(joint.scale_ratio, |scale| format!("{scale:.2}"));
-        let (low, high) = joint.position_rad;
-        show!(
-            "joint {number}  {low:.2} … {high:.2} rad, {:.2} rad/s, torque {:.3} N·m RMS, noise {:.3} N·m, {:.0} % unexplained, {scale} × description",
-            joint.speed_rad_s,
-            joint.torque_rms_nm,
-            joint.noise_floor_nm,
-            100.0 * joint.unexplained_ratio
-        )?;
-    }
-    if let Some(condition) = judgement.condition_number_equilibrated {
-        show!("every parameter is shown, condition number {condition:.0} at unit length")?;
-    }
-    if let Some((delay_s, deviation_s)) = judgement.delay_s {
-        let [delay, deviation] = [delay_s, deviation_s].map(|time_s| 1e3 * time_s);
-        show!("torque delay {delay:.2} ± {deviation:.2} ms")?;
-    }
-    for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
-        show!("warning  {}", finding.text)?;
-    }
-    if let Some(finding) = judgement.findings.iter().find(|finding| finding.refuses) {
-        return Err(unusable(finding.text.clone()));
-    }
-    let unseen = &judgement.unseen;
-    match (unseen.len(), judgement.joints.is_empty()) {
-        (0, false) => show!("no finding that refuses a bank"),
-        (0, true) => Err(unusable("no joint moves")),
-        (count, _) => {
-            let rank = parameters - count;
-            Err(IdentifyError::RankDeficient(rank, parameters, unseen.clone()).into())
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::exit_code;
     use super::*;
-
-    #[test]
-    fn a_check_refuses_logs_that_do_not_show_all() {
-        let check = |unseen: &[&str]| {
-            let judgement = Judgement {
-                unseen: unseen.iter().map(|name| (*name).to_owned()).collect(),
-                ..Judgement::default()
-            };
-            show_check(&judgement, 9).expect_err("refused").to_string()
-        };
-        let refused = check(&["Fo4"]);
-        assert!(
-            refused.contains("(8 of 9): it does not show Fo4: --columns"),
-            "{refused}"
-        );
-        assert_eq!(check(&[]), "no joint moves");
-    }
 
     #[test]
     fn a_run_without_a_bank_fails() {

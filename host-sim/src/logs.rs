@@ -11,9 +11,12 @@ use foretorque_studies::replay::{self, ReplayPath};
 use foretorque_workbench::board::Transport;
 use foretorque_workbench::board::serial::{self, Serial};
 use foretorque_workbench::files::at;
-use foretorque_workbench::identification::{ColumnSet, PrepareConfig, judge};
+use foretorque_workbench::identification::{
+    ColumnSet, IdentifyError, Judgement, PrepareConfig, judge,
+};
 use foretorque_workbench::overheard::Overheard;
 use foretorque_workbench::report::ReportFiles;
+use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::robot::{EffortKind, LOG_SOURCES, LogColumns, Robot, Units};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -193,5 +196,70 @@ impl Replay {
         let page = files.finish(&outcome.report, &outcome.page)?;
         show!("{}", outcome.text.trim_end())?;
         show!("report  {}", page.display())
+    }
+}
+
+/// Prints the judgement of `--data-check`.
+///
+/// Errors: the first finding that refuses; logs that do not show all `parameters`.
+pub(super) fn show_check(judgement: &Judgement, parameters: usize) -> Result<(), Failure> {
+    show!("rows every {:.3} ms", 1e3 * judgement.period_s)?;
+    for note in &judgement.notes {
+        show!("note  {note}")?;
+    }
+    for (number, joint) in (1..).zip(&judgement.joints) {
+        let scale = or_dash(joint.scale_ratio, |scale| format!("{scale:.2}"));
+        let (low, high) = joint.position_rad;
+        show!(
+            "joint {number}  {low:.2} … {high:.2} rad, {:.2} rad/s, torque {:.3} N·m RMS, noise {:.3} N·m, {:.0} % unexplained, {scale} × description",
+            joint.speed_rad_s,
+            joint.torque_rms_nm,
+            joint.noise_floor_nm,
+            100.0 * joint.unexplained_ratio
+        )?;
+    }
+    if let Some(condition) = judgement.condition_number_equilibrated {
+        show!("every parameter is shown, condition number {condition:.0} at unit length")?;
+    }
+    if let Some((delay_s, deviation_s)) = judgement.delay_s {
+        let [delay, deviation] = [delay_s, deviation_s].map(|time_s| 1e3 * time_s);
+        show!("torque delay {delay:.2} ± {deviation:.2} ms")?;
+    }
+    for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
+        show!("warning  {}", finding.text)?;
+    }
+    if let Some(finding) = judgement.findings.iter().find(|finding| finding.refuses) {
+        return Err(unusable(finding.text.clone()));
+    }
+    let unseen = &judgement.unseen;
+    match (unseen.len(), judgement.joints.is_empty()) {
+        (0, false) => show!("no finding that refuses a bank"),
+        (0, true) => Err(unusable("no joint moves")),
+        (count, _) => {
+            let rank = parameters - count;
+            Err(IdentifyError::RankDeficient(rank, parameters, unseen.clone()).into())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_check_refuses_logs_that_do_not_show_all() {
+        let check = |unseen: &[&str]| {
+            let judgement = Judgement {
+                unseen: unseen.iter().map(|name| (*name).to_owned()).collect(),
+                ..Judgement::default()
+            };
+            show_check(&judgement, 9).expect_err("refused").to_string()
+        };
+        let refused = check(&["Fo4"]);
+        assert!(
+            refused.contains("(8 of 9): it does not show Fo4: --columns"),
+            "{refused}"
+        );
+        assert_eq!(check(&[]), "no joint moves");
     }
 }

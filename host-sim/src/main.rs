@@ -20,7 +20,6 @@ mod run;
 mod simulate;
 mod terminal;
 mod torque;
-mod wiring;
 
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, Parser, Subcommand};
@@ -166,7 +165,7 @@ enum Command {
     Run(run::Arguments),
     Drive(drive::Arguments),
     Commission(commission::Arguments),
-    Wiring(wiring::Arguments),
+    Wiring(bus::WiringArguments),
     Record(logs::Record),
     Replay(logs::Replay),
     Compare(compare::Arguments),
@@ -204,7 +203,7 @@ fn run() -> Result<(), Failure> {
         Command::Run(arguments) => run::run(&arguments),
         Command::Drive(arguments) => drive::run(&arguments),
         Command::Commission(arguments) => commission::run(&arguments),
-        Command::Wiring(arguments) => wiring::run(&arguments),
+        Command::Wiring(arguments) => bus::write_wiring(&arguments),
         Command::Record(arguments) => arguments.run(),
         Command::Replay(arguments) => arguments.run(),
         Command::Compare(arguments) => compare::run(&arguments),

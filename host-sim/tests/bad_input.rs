@@ -1,7 +1,9 @@
 //! Messages about unusable input, a terminal that hangs up, a board that dies, and a program that is ended: one line, no panic,
 //! nothing half written, no emulator left behind.
 
-use crate::{assert_contains, command, directory, failure, refused, soon, still, succeeds, write};
+use crate::{
+    assert_contains, command, directory, failure, refused, soon, still, succeeds, text, write,
+};
 use foretorque_workbench::board::qemu::Image;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
 use nix::unistd::Pid;
@@ -213,11 +215,15 @@ fn results_of_an_earlier_run_do_not_stay() {
     fs::create_dir(here.join("other")).expect("creates");
     write(here.join("other/robot.urdf"), "no result");
     let line = "identify --robot ur5 --log log.csv --methods wls --out other";
-    succeeds(&here, line);
-    assert!(here.join("other/robot.urdf").exists(), "no result of ours");
+    refused(
+        &here,
+        line,
+        "other/robot.urdf is there without the report.json",
+    );
+    assert_eq!(text(here.join("other/robot.urdf")), "no result");
     let torque = "torque --robot ur5 --name bigger --trajectory validation --out t.csv";
-    let told = succeeds(&here, &format!("{torque} --bank out/parameters.bank"));
-    assert_contains(&told, "bank of arm 'ur5', the robot is 'bigger'");
+    let printed = succeeds(&here, &format!("{torque} --bank out/parameters.bank"));
+    assert_contains(&printed, "bank of arm 'ur5', the robot is 'bigger'");
     let compared = succeeds(&here, "compare out out --out c.html");
     assert_eq!(compared, "no figure differs\n");
     assert_contains(&succeeds(&here, "completions bash"), "complete");

@@ -39,7 +39,7 @@ struct OverlayJoint<'a> {
 }
 
 impl Robot {
-    /// The file of a description, and after an overlay the one that it completes, at most one more than `CHAIN`.
+    /// Files of a description: that at `path`, and in turn those that overlays complete, up to one beyond the longest chain.
     pub fn files(path: &Path) -> Vec<PathBuf> {
         let mut files = vec![path.to_owned()];
         while files.len() <= CHAIN {

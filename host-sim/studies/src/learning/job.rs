@@ -1,6 +1,6 @@
 //! The runs of one arm: board, plant and scenario in closed loop, and the figures of each.
 
-use super::world::{Event, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
+use super::world::{Event, Motion, PLAIN, Scenario, Source, Start, TORQUE_LOOP_GAIN, WorldArm};
 use super::{Figures, LearningConfig, PERIOD_S, ScenarioReport};
 use crate::{StudyError, bank_of, unsupported};
 use foretorque::arm::Arm;
@@ -10,9 +10,12 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::closed_loop::{PdConfig, motion_f32};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::metrics::{MOVING_RAD_S, root_mean};
-use foretorque_workbench::plant::Plant;
+use foretorque_workbench::plant::{Events, Payload, Plant, PlantConfig, PlantEffects, Push};
 use foretorque_workbench::robot::Robot;
-use foretorque_workbench::trajectory::Trajectory;
+use foretorque_workbench::trajectory::via::ViaPath;
+use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 const BANDWIDTH_HZ: f64 = 6.0;
 const UNSEEN_POINTS: usize = 250;
@@ -210,5 +213,117 @@ impl<const N: usize> Bench<N> {
             put("stays_below_0.35_s", above.map_or(0.0, |(t_s, _)| *t_s));
         }
         Ok((figures, learnt.curve))
+    }
+}
+
+/// First event and time from one to the next, s; a payload is held for half of it.
+const FIRST_EVENT_S: f64 = 12.0;
+const CYCLE_S: f64 = 10.0;
+
+impl Scenario {
+    /// The plant, its mechanics apart.
+    pub(super) fn plant(&self, source: Source) -> PlantConfig {
+        let config = PlantConfig {
+            step_rate_hz: 4000.0,
+            torque_noise: self.torque_noise,
+            viscous_drift: self.drift_min / 60.0,
+            load_friction: 0.02,
+            drive_gain: self.drive_gain,
+            effects: PlantEffects::default(),
+        };
+        let elastic = PlantEffects {
+            twist_mrad: 5.0,
+            twist_damping: 0.1,
+            presliding_mrad: 0.3,
+            backlash_mrad: 0.05,
+            warm_viscous_fall: 0.2,
+            warm_up_s: 300.0,
+            delay_ms: 1.0,
+            delay_jitter_ms: self.delay_jitter_ms,
+            sampling_jitter_ms: 0.02,
+            ..PlantEffects::default()
+        };
+        let effects = match source {
+            Source::Rigid => return config,
+            Source::Current => PlantEffects {
+                drive_gain_spread: 0.08,
+                torque_offset: 0.01,
+                torque_offset_drift: 0.003,
+                ..elastic
+            },
+            Source::Link => PlantEffects {
+                torque_loop_gain: TORQUE_LOOP_GAIN,
+                torque_offset: 0.003,
+                ..elastic
+            },
+        };
+        PlantConfig { effects, ..config }
+    }
+
+    /// Motion of the arm, another one for each scenario.
+    pub(super) fn trajectory<const N: usize>(
+        &self,
+        robot: &Robot,
+        seed: u64,
+        quick: bool,
+    ) -> Trajectory<N> {
+        let seconds = self.ticks(quick) as f64 * PERIOD_S;
+        let mix = |sum: u64, byte: u8| sum.wrapping_mul(31).wrapping_add(u64::from(byte));
+        let seed = self.name.bytes().fold(seed, mix);
+        let random = |seconds| ViaPath::random(robot, seed, seconds, VALIDATION_PEAK_RAD_S);
+        Trajectory::Via(match self.motion {
+            Motion::Rich => random(seconds),
+            Motion::Slow => random(seconds / 8.0).stretched(8.0),
+            Motion::SlowThenRich => random(seconds).slow_until(8.0, 0.5 * seconds),
+            Motion::ThenStill => random(15.0),
+            Motion::OneJointFirst => random(seconds).of_joint_until(1, 0.5 * seconds),
+        })
+    }
+
+    /// Disturbances; `rated` is the rated payload, kg.
+    pub(super) fn events<const N: usize>(
+        &self,
+        robot: &Robot,
+        rated: f64,
+        seed: u64,
+        quick: bool,
+    ) -> Events<N> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut events = Events::default();
+        let end_s = self.ticks(quick) as f64 * PERIOD_S;
+        let mut from_s = FIRST_EVENT_S;
+        while from_s + 0.6 * CYCLE_S <= end_s {
+            match self.event {
+                Event::None => break,
+                Event::Payloads(share) => {
+                    let to_s = from_s + 0.5 * CYCLE_S;
+                    let com = [0.02, -0.01, 0.05];
+                    let payload = Payload::cube(share * rated, com, from_s, to_s);
+                    events.payloads.push(payload);
+                }
+                Event::Pushes => events.pushes.push(push(robot, from_s, &mut random)),
+            }
+            from_s += CYCLE_S + random.random_range(0.0..1.0);
+        }
+        events
+    }
+}
+
+/// A collision with a random link: up to 10–35 % of the limit on the joints below it, just that on its own.
+fn push<const N: usize>(robot: &Robot, from_s: f64, random: &mut ChaCha8Rng) -> Push<N> {
+    let (touched, size) = (random.random_range(0..N), random.random_range(0.10..0.35));
+    let torque = Joints::from_fn(|j, _| {
+        let limit = robot.joints[j].limits.torque;
+        let share: f64 = random.random_range(-1.0..1.0);
+        match j.cmp(&touched) {
+            std::cmp::Ordering::Less => size * share * limit,
+            std::cmp::Ordering::Equal => size * share.signum() * limit,
+            std::cmp::Ordering::Greater => 0.0,
+        }
+    });
+    Push {
+        torque,
+        from_s,
+        to_s: from_s + random.random_range(0.1..2.5),
     }
 }

@@ -2,11 +2,8 @@
 
 use super::PERIOD_S;
 use crate::StudyError;
-use foretorque_workbench::dynamics::Joints;
-use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
+use foretorque_workbench::plant::ReportFaults;
 use foretorque_workbench::robot::{Perturbation, Robot};
-use foretorque_workbench::trajectory::via::ViaPath;
-use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -149,14 +146,14 @@ pub(super) struct Scenario {
     pub(super) motion: Motion,
     pub(super) event: Event,
     /// Length, s, and that of the short form; 0 leaves the scenario out of it.
-    seconds: f64,
-    quick_s: f64,
+    pub(super) seconds: f64,
+    pub(super) quick_s: f64,
     /// Growth of viscous friction in a minute, share.
-    drift_min: f64,
-    torque_noise: f64,
-    drive_gain: f64,
+    pub(super) drift_min: f64,
+    pub(super) torque_noise: f64,
+    pub(super) drive_gain: f64,
     /// Largest further delay of a report, ms; below a period it makes no difference.
-    delay_jitter_ms: f64,
+    pub(super) delay_jitter_ms: f64,
     pub(super) faults: ReportFaults,
     /// PD control alone is run too.
     pub(super) against_pd: bool,
@@ -278,10 +275,6 @@ const SCENARIOS: &[Row] = &[
     }),
 ];
 
-/// First event and time from one to the next, s; a payload is held for half of it.
-const FIRST_EVENT_S: f64 = 12.0;
-const CYCLE_S: f64 = 10.0;
-
 impl Scenario {
     /// All scenarios, or those of the short form.
     pub(super) fn all(quick: bool) -> impl Iterator<Item = Self> {
@@ -298,112 +291,6 @@ impl Scenario {
         let seconds = if quick { self.quick_s } else { self.seconds };
         (seconds / PERIOD_S).round() as usize
     }
-
-    /// The plant, its mechanics apart.
-    pub(super) fn plant(&self, source: Source) -> PlantConfig {
-        let config = PlantConfig {
-            step_rate_hz: 4000.0,
-            torque_noise: self.torque_noise,
-            viscous_drift: self.drift_min / 60.0,
-            load_friction: 0.02,
-            drive_gain: self.drive_gain,
-            effects: PlantEffects::default(),
-        };
-        let elastic = PlantEffects {
-            twist_mrad: 5.0,
-            twist_damping: 0.1,
-            presliding_mrad: 0.3,
-            backlash_mrad: 0.05,
-            warm_viscous_fall: 0.2,
-            warm_up_s: 300.0,
-            delay_ms: 1.0,
-            delay_jitter_ms: self.delay_jitter_ms,
-            sampling_jitter_ms: 0.02,
-            ..PlantEffects::default()
-        };
-        let effects = match source {
-            Source::Rigid => return config,
-            Source::Current => PlantEffects {
-                drive_gain_spread: 0.08,
-                torque_offset: 0.01,
-                torque_offset_drift: 0.003,
-                ..elastic
-            },
-            Source::Link => PlantEffects {
-                torque_loop_gain: TORQUE_LOOP_GAIN,
-                torque_offset: 0.003,
-                ..elastic
-            },
-        };
-        PlantConfig { effects, ..config }
-    }
-
-    /// Motion of the arm, another one for each scenario.
-    pub(super) fn trajectory<const N: usize>(
-        &self,
-        robot: &Robot,
-        seed: u64,
-        quick: bool,
-    ) -> Trajectory<N> {
-        let seconds = self.ticks(quick) as f64 * PERIOD_S;
-        let mix = |sum: u64, byte: u8| sum.wrapping_mul(31).wrapping_add(u64::from(byte));
-        let seed = self.name.bytes().fold(seed, mix);
-        let random = |seconds| ViaPath::random(robot, seed, seconds, VALIDATION_PEAK_RAD_S);
-        Trajectory::Via(match self.motion {
-            Motion::Rich => random(seconds),
-            Motion::Slow => random(seconds / 8.0).stretched(8.0),
-            Motion::SlowThenRich => random(seconds).slow_until(8.0, 0.5 * seconds),
-            Motion::ThenStill => random(15.0),
-            Motion::OneJointFirst => random(seconds).of_joint_until(1, 0.5 * seconds),
-        })
-    }
-
-    /// Disturbances; `rated` is the rated payload, kg.
-    pub(super) fn events<const N: usize>(
-        &self,
-        robot: &Robot,
-        rated: f64,
-        seed: u64,
-        quick: bool,
-    ) -> Events<N> {
-        let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let mut events = Events::default();
-        let end_s = self.ticks(quick) as f64 * PERIOD_S;
-        let mut from_s = FIRST_EVENT_S;
-        while from_s + 0.6 * CYCLE_S <= end_s {
-            match self.event {
-                Event::None => break,
-                Event::Payloads(share) => {
-                    let to_s = from_s + 0.5 * CYCLE_S;
-                    let com = [0.02, -0.01, 0.05];
-                    let payload = Payload::cube(share * rated, com, from_s, to_s);
-                    events.payloads.push(payload);
-                }
-                Event::Pushes => events.pushes.push(push(robot, from_s, &mut random)),
-            }
-            from_s += CYCLE_S + random.random_range(0.0..1.0);
-        }
-        events
-    }
-}
-
-/// A collision with a random link: up to 10–35 % of the limit on the joints below it, just that on its own.
-fn push<const N: usize>(robot: &Robot, from_s: f64, random: &mut ChaCha8Rng) -> Push<N> {
-    let (touched, size) = (random.random_range(0..N), random.random_range(0.10..0.35));
-    let torque = Joints::from_fn(|j, _| {
-        let limit = robot.joints[j].limits.torque;
-        let share: f64 = random.random_range(-1.0..1.0);
-        match j.cmp(&touched) {
-            std::cmp::Ordering::Less => size * share * limit,
-            std::cmp::Ordering::Equal => size * share.signum() * limit,
-            std::cmp::Ordering::Greater => 0.0,
-        }
-    });
-    Push {
-        torque,
-        from_s,
-        to_s: from_s + random.random_range(0.1..2.5),
-    }
 }
 
 #[cfg(test)]
@@ -411,7 +298,8 @@ mod tests {
     use super::*;
     use foretorque::learning::rated_payload;
     use foretorque_workbench::board::Described;
-    use foretorque_workbench::dynamics::ReferenceModel;
+    use foretorque_workbench::dynamics::{Joints, ReferenceModel};
+    use foretorque_workbench::plant::Payload;
 
     /// Largest weight torque of `mass` at the origin of the last link over the torque limit, over 200 poses and all joints.
     fn heaviest<const N: usize>(robot: &Robot, mass: f64) -> f64 {

@@ -46,13 +46,17 @@ pub(super) struct LogReader {
     pub(super) notes: Vec<String>,
 }
 
+/// Remedy for single rows that are wrong; see [`GAP_PERIODS`](super::clock::GAP_PERIODS).
+pub(super) const WITHOUT_ROWS: &str =
+    "delete such rows: up to four in a row are interpolated, more cut the log";
+
 /// Remedy for a field that is no number, in a log with times.
 fn of_field(text: &str) -> &'static str {
     match text.contains(|c: char| c.is_ascii_digit()) {
-        false => ": delete such rows: up to four in a row are interpolated, more split the log",
+        false => WITHOUT_ROWS,
         // A date.
         true if text.contains(':') => {
-            ": write seconds, with pandas (t - t[0]).dt.total_seconds(), or give rate_hz in --columns-from FILE"
+            "write seconds, with pandas (t - t[0]).dt.total_seconds(), or give rate_hz in --columns-from FILE"
         }
         true => "",
     }

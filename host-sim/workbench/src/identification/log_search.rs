@@ -207,6 +207,7 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
 
 #[cfg(test)]
 mod tests {
+    use super::super::log_tests::{own, read, read_text, table, ur5};
     use super::*;
 
     #[test]
@@ -214,5 +215,124 @@ mod tests {
         assert_eq!(cores(&["fer_joint1", "fer_joint2"]), ["1", "2"]);
         assert_eq!(cores(&["a_joint", "wrist_joint"]), ["a", "wrist"]);
         assert_eq!(cores(&["aa", "aaa"]), ["", "a"]);
+    }
+
+    #[test]
+    fn logs_that_do_not_fit_are_refused_by_name() {
+        let own = own();
+        let lines: Vec<&str> = own.split_inclusive('\n').collect();
+        let foreign = own.replace("t_s", "clock_time").replace("q", "jnt_pos");
+        let foreign = foreign.replace("tau", "load_torque");
+        let cases = [
+            (
+                "headless.csv",
+                lines[1..5].concat(),
+                "headless.csv:1: no header row, 19 numbers: name the columns by --names",
+            ),
+            (
+                "marked.csv",
+                format!("# by hand\n# 2\n{}", lines[1..5].concat()),
+                "marked.csv:3: no header row, 19 numbers",
+            ),
+            (
+                "late.csv",
+                own.replace("\n1,", "\n# mark\n1,").replace("51.5", "") + "# end\n",
+                "late.csv:9: column tau6_nm",
+            ),
+            (
+                "renamed.csv",
+                format!("# by hand\n\n{}", own.replace("tau", "load")),
+                "renamed.csv:3: column tau1_nm is missing",
+            ),
+            (
+                "twice.csv",
+                [&lines[..3], &lines[2..]].concat().concat(),
+                "twice.csv:4: column t_s: 0.25 does not come after 0.25: rows that are written twice: keep one of each; coarse stamps of even rows: leave t_s out and give rate_hz",
+            ),
+            (
+                "back.csv",
+                [&lines[..1], &lines[9..], &lines[1..9]].concat().concat(),
+                "back.csv:54: column t_s: 0 does not come after 14.75: sort the rows by time, or cut the log here",
+            ),
+            (
+                "cell.csv",
+                own.replace(",51.5\n", ",\n"),
+                "cell.csv:8: column tau6_nm: \"\" is not a finite number: delete such rows: up to four in a row",
+            ),
+            (
+                "date.csv",
+                own.replace("\n1.5,", "\n2024-05-03T10:11:12.5,"),
+                "is not a finite number: write seconds, with pandas",
+            ),
+            (
+                "capitals.csv",
+                own.to_uppercase(),
+                "t_s = \"T_S\"\nq_rad = \"Q{1}_RAD\"\ntau_nm = \"TAU{1}_NM\"",
+            ),
+            (
+                "named.csv",
+                table(
+                    ["{name}_rad", "{name}_rad_s", "{name}_nm"],
+                    "t_s",
+                    ",",
+                    [1.0; 4],
+                ),
+                "t_s = \"t_s\"\nq_rad = \"{name}_rad\"\ntau_nm = \"{name}_nm\"",
+            ),
+            (
+                "untimed.csv",
+                table(
+                    ["actual_q_{0}", "actual_qd_{0}", "actual_current_{0}"],
+                    "stamp",
+                    ",",
+                    [1.0; 4],
+                ),
+                "column timestamp is missing: name it by t_s, or give",
+            ),
+            (
+                "one.csv",
+                lines[..2].concat(),
+                "one.csv: 1 rows, a motion needs 3 at least",
+            ),
+            ("none.csv", lines[0].to_owned(), "none.csv: no rows"),
+            ("empty.csv", String::new(), "empty.csv: no rows"),
+            (
+                "huge.csv",
+                lines[..9].concat().replace("51.5", "1e300"),
+                "huge.csv:8: column tau6_nm: 1e300 is no measurement",
+            ),
+            (
+                "foreign.csv",
+                foreign,
+                "t_s = \"clock_time\"\nq_rad = \"jnt_pos{1}_rad\"\ntau_nm = \"load_torque{1}_nm\"",
+            ),
+            (
+                "other.csv",
+                own.replace("_rad,", "/position,").replace("_nm", "/effort"),
+                "the log has joints q1, q2, q3, q4, q5, q6, the robot shoulder_pan, ",
+            ),
+            (
+                "robot.parquet",
+                String::new(),
+                "robot.parquet: .parquet is not read; convert it: python3",
+            ),
+            (
+                "robot.bag",
+                String::new(),
+                "robot.bag: .bag is not read; convert it: rosbags-convert",
+            ),
+            (
+                "broken.db3",
+                "no database".to_owned(),
+                "broken.db3: no ROS 2 bag: file is not a database",
+            ),
+            ("broken.mcap", "no MCAP".to_owned(), "broken.mcap: no MCAP"),
+        ];
+        for (name, text, wanted) in cases {
+            let refused = read_text(name, &text, &ur5()).expect_err(name);
+            assert!(refused.contains(wanted), "{name}: {refused}");
+        }
+        let refused = read(std::path::Path::new("/dev/null"), &ur5()).expect_err("no file");
+        assert!(refused.contains("a pipe or device"), "{refused}");
     }
 }

@@ -356,8 +356,9 @@ impl Rows {
         };
         value.ok_or_else(|| {
             let (column, remedy) = (&self.header[column], (self.remedies.of_field)(&text));
+            let colon = if remedy.is_empty() { "" } else { ": " };
             self.row_error(format!(
-                "column {column}: {text:?} is not a finite number{remedy}"
+                "column {column}: {text:?} is not a finite number{colon}{remedy}"
             ))
         })
     }

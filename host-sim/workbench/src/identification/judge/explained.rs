@@ -20,6 +20,8 @@ const WEIGHTLESS: f64 = 0.3;
 
 /// Fall of the logarithm of the unexplained share that proves a torque of the wrong sign.
 const SIGN_EVIDENCE: f64 = 1.0;
+/// Columns of a joint alone.
+const COLUMNS: usize = 5;
 /// Rounds of the fit within bounds.
 const ROUNDS: usize = 300;
 
@@ -96,6 +98,17 @@ pub(super) fn weight(robot: &Robot, of_links: &[[PerJoint<f64>; 2]], joint: usiz
     gravity / (mass * robot.gravity.norm() * CENTRE_M)
 }
 
+/// Columns of a joint alone: a torque of the links, Coulomb and viscous friction, rotor, offset.
+fn of_drive(state: &Motion, joint: usize, column: usize, links: f64) -> f64 {
+    match column {
+        0 => links,
+        1 => (state.qd[joint] / (5.0 * SIGN_WIDTH_RAD_S)).tanh(),
+        2 => state.qd[joint],
+        3 => state.qdd[joint],
+        _ => 1.0,
+    }
+}
+
 pub(super) fn explain(
     joint: usize,
     states: &[Motion],
@@ -103,17 +116,9 @@ pub(super) fn explain(
     limit: f64,
     tau: impl Fn(usize) -> f64,
 ) -> Explained {
-    const COLUMNS: usize = 5;
     let count = states.len();
     let x = DMatrix::from_fn(count, COLUMNS, |row, column| {
-        let state = &states[row];
-        match column {
-            0 => links[row][0][joint],
-            1 => (state.qd[joint] / (5.0 * SIGN_WIDTH_RAD_S)).tanh(),
-            2 => state.qd[joint],
-            3 => state.qdd[joint],
-            _ => 1.0,
-        }
+        of_drive(&states[row], joint, column, links[row][0][joint])
     });
     let y = DVector::from_fn(count, |row, _| tau(row));
     let mean = y.mean();
@@ -266,17 +271,10 @@ fn other_gravity(
     };
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(along);
     let (mut gram, mut moment) = (Matrix3::zeros(), Vector3::zeros());
-    let joints = 0..bare.joint_count();
-    for joint in joints {
-        let own = DMatrix::from_fn(states.len(), 5, |row, column| {
-            let state = &states[row];
-            match column {
-                0 => axes[0][row][0][joint] - axes[0][row][1][joint],
-                1 => (state.qd[joint] / (5.0 * SIGN_WIDTH_RAD_S)).tanh(),
-                2 => state.qd[joint],
-                3 => state.qdd[joint],
-                _ => 1.0,
-            }
+    for joint in 0..bare.joint_count() {
+        let own = DMatrix::from_fn(states.len(), COLUMNS, |row, column| {
+            let [all, gravity] = axes[0][row];
+            of_drive(&states[row], joint, column, all[joint] - gravity[joint])
         });
         let common = DMatrix::from_fn(states.len(), 4, |row, column| match column {
             3 => rows[row].1[joint],

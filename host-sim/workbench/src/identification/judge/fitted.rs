@@ -77,7 +77,7 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
 /// Largest change of a joint's torque error from one part of the logs to the rest: a body picked up, a sensor that drifts.
 ///
 /// Two means m_1, m_2 of n_1 and n_2 rows explain the share `(n_1 m_1² + n_2 m_2²) / Σ e²` of the errors e. What a model
-/// lacks scatters over the motion and has means near zero: on real logs the share stays below 0.12, and 0.27 in 5 s.
+/// lacks scatters over the motion and has means near zero: on the logs of `tests/data` the share stays below 0.1.
 pub(in crate::identification) fn change(
     layout: &Layout,
     rows: &[SampleRow],

@@ -119,9 +119,12 @@ pub fn judge(
     let joints = layout.joints();
     let mut judgement = Judgement::default();
     let mut extremes = vec![Extremes::none(); joints];
+    let mut currents = false;
     for path in logs {
         config.check(path, robot)?;
-        judgement.period_s = scan(path, robot, &mut extremes)?;
+        let (period_s, of_currents) = scan(path, robot, &mut extremes)?;
+        judgement.period_s = period_s;
+        currents |= of_currents;
         let hint = other_unit_of_time(judgement.period_s);
         if !hint.is_empty() {
             let text = format!("its rows are {:.3} s apart{hint}", judgement.period_s);
@@ -129,7 +132,7 @@ pub fn judge(
             return Ok(judgement);
         }
     }
-    units(&mut judgement, robot, &extremes);
+    units(&mut judgement, robot, &extremes, currents);
     if judgement.refuses() {
         return Ok(judgement);
     }

@@ -4,7 +4,7 @@
 use super::{Judgement, MOVED};
 use crate::identification::IdentifyError;
 use crate::identification::clock::GAP_PERIODS;
-use crate::identification::log::{LogRow, Roughness};
+use crate::identification::log::{LogRow, Roughness, WITHOUT_ROWS};
 use crate::identification::whole_log::WholeLog;
 use crate::robot::{Joint, Robot};
 use std::path::Path;
@@ -19,8 +19,6 @@ const CUT_SHARE: (f64, f64) = (0.01, 0.05);
 const STUCK_S: f64 = 0.5;
 /// Largest share of rows that count as errors of single rows.
 const FEW: f64 = 0.01;
-/// Remedy for single rows that are wrong.
-const ROWS_REMEDY: &str = "delete these rows (up to four in a row are put in again)";
 
 /// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
 #[derive(Clone, Copy, Default)]
@@ -34,8 +32,6 @@ pub(super) struct Extremes {
     /// Time of that torque, s, and rows beyond what the joint can do.
     strongest_s: f64,
     strong: f64,
-    /// Torques are drive gain × current.
-    currents: bool,
     /// Largest torques of either sign while the joint moves, and rows in which it does.
     tops: [Top; 2],
     moving: f64,
@@ -117,18 +113,14 @@ impl Extremes {
     }
 }
 
-/// Ranges of a log as it is, and the time between its rows, s.
+/// Adds the ranges of a log as it is; returns the time between its rows, s, and whether its torques are drive gain × current.
 pub(super) fn scan(
     path: &Path,
     robot: &Robot,
     extremes: &mut [Extremes],
-) -> Result<f64, IdentifyError> {
+) -> Result<(f64, bool), IdentifyError> {
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
-    let currents = log.reader.has_currents;
-    extremes
-        .iter_mut()
-        .for_each(|sums| sums.currents = currents);
     let mut last: Vec<LogRow> = Vec::new();
     let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
     rough.for_each(Roughness::pause);
@@ -186,11 +178,18 @@ pub(super) fn scan(
         }
         last.push(row);
     }
-    Ok(period_s)
+    Ok((period_s, log.reader.has_currents))
 }
 
-/// Findings on ranges: units, quantities in each other's columns, spikes, saturation.
-pub(super) fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extremes]) {
+/// Findings on ranges: units, quantities in each other's columns, single wrong rows, spikes, saturation.
+///
+/// * `currents` the torques are drive gain × current
+pub(super) fn units(
+    judgement: &mut Judgement,
+    robot: &Robot,
+    extremes: &[Extremes],
+    currents: bool,
+) {
     let joints = || robot.joints.iter().zip(extremes).enumerate();
     let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough));
     let most = |(low, high): (f64, f64)| low.abs().max(high.abs());
@@ -208,7 +207,7 @@ pub(super) fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extrem
             let fits = most <= BEYOND * low.abs().max(high.abs());
             if fits && seen.fast <= 2.0 * FEW * seen.rows {
                 format!(
-                    "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {ROWS_REMEDY}, or are the limits too low (--velocity-limits)?",
+                    "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {WITHOUT_ROWS}; or are the limits too low (--velocity-limits)?",
                     number + 1,
                     seen.fastest_s,
                     seen.speed,
@@ -244,8 +243,8 @@ pub(super) fn units(judgement: &mut Judgement, robot: &Robot, extremes: &[Extrem
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
         // One unit holds for all joints; their limits may be of different use.
         let unit = match thousandth {
-            _ if seen.strong <= FEW * seen.rows => ROWS_REMEDY,
-            true if seen.currents => "are these mA (--units i=mA)?",
+            _ if seen.strong <= FEW * seen.rows => WITHOUT_ROWS,
+            true if currents => "are these mA (--units i=mA)?",
             true if strong.len() * 3 > extremes.len() => {
                 "is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?"
             }
