@@ -121,6 +121,8 @@ impl<B: Board> Tick<B> {
             if count == 0 {
                 break;
             }
+            // What the drives have reported before this frame came belongs to its tick.
+            self.drive.watch(self.session);
             let bytes = frame.get(..count).unwrap_or_default();
             self.session
                 .receive(bytes, mailboxes, self.out, self.drive.own());
