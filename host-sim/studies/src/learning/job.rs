@@ -251,8 +251,9 @@ impl Scenario {
                 torque_offset_drift: 0.003,
                 ..elastic
             },
-            Source::Link => PlantEffects {
+            Source::Link | Source::Asked => PlantEffects {
                 torque_loop_gain: TORQUE_LOOP_GAIN,
+                reports_asked_torque: source == Source::Asked,
                 torque_offset: 0.003,
                 ..elastic
             },

@@ -72,7 +72,7 @@ impl<const N: usize> Bench<N> {
         path: &Trajectory<N>,
         ticks: usize,
     ) -> Result<f64, StudyError> {
-        let pd = &self.pd[usize::from(source == Source::Link)];
+        let pd = &self.pd[usize::from(source.has_torque_loop())];
         let mut play = ClosedLoop::new(&mut plant, pd, path, PERIOD_S, None)?;
         let mut tracking = TrackingError::default();
         for tick in 0..ticks {
@@ -110,7 +110,7 @@ impl<const N: usize> Bench<N> {
             started = Some(bank.set::<A, N, P>()?);
             board = Some(client);
         }
-        let pd = &self.pd[usize::from(source == Source::Link)];
+        let pd = &self.pd[usize::from(source.has_torque_loop())];
         let mut play = ClosedLoop::new(&mut plant, pd, path, PERIOD_S, board.as_mut())?;
         let learns = start.is_some_and(|(_, learns)| learns);
         if let Some(board) = &mut board {

@@ -31,6 +31,9 @@ pub struct PlantEffects {
     /// Gain of a torque loop around a sensor behind the gear: it divides friction and rotor inertia by 1 + gain. The
     /// measured torque is then that of the sensor, without friction and rotor.
     pub torque_loop_gain: f64,
+    /// The measured torque is the one asked of the torque loop, with the part of friction and rotor that the loop leaves,
+    /// not that of its sensor.
+    pub reports_asked_torque: bool,
     /// Largest relative error of each joint's drive gain, drawn with the plant's seed.
     pub drive_gain_spread: f64,
     /// Largest zero error of each joint's current sensor, share of the torque limit, drawn with the plant's seed.
@@ -71,7 +74,9 @@ impl PlantEffects {
         let values = serde_json::to_value(self).ok();
         let values = values.as_ref().and_then(serde_json::Value::as_object);
         // A number that is none becomes null.
-        let sound = |value: &serde_json::Value| value.as_f64().is_some_and(|value| value >= 0.0);
+        let sound = |value: &serde_json::Value| {
+            value.is_boolean() || value.as_f64().is_some_and(|value| value >= 0.0)
+        };
         let elastic = self.twist_mrad > 0.0;
         let checks = [
             (
@@ -89,6 +94,10 @@ impl PlantEffects {
             (
                 elastic || (self.backlash_mrad == 0.0 && self.torque_loop_gain == 0.0),
                 "backlash_mrad and torque_loop_gain need twist_mrad above 0",
+            ),
+            (
+                self.torque_loop_gain > 0.0 || !self.reports_asked_torque,
+                "reports_asked_torque needs torque_loop_gain above 0",
             ),
             (
                 self.warm_viscous_fall == 0.0 || self.warm_up_s > 0.0,

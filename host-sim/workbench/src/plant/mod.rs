@@ -52,7 +52,7 @@ impl Default for PlantConfig {
 pub struct Measurement<const N: usize> {
     /// Encoder positions, rad.
     pub q: Joints<N>,
-    /// Torque of the drives, or of a sensor behind the gear, over the last period, with noise, N·m.
+    /// Torque asked of the drives, or of a sensor behind the gear, over the last period, with noise, N·m.
     pub tau: Joints<N>,
 }
 
@@ -238,28 +238,34 @@ impl<const N: usize> Plant<N> {
     /// Torque that the drives need for this motion, free of noise, at the arm's present age and payload, N·m: what a
     /// sensor of no noise would measure. Gears count as rigid, friction as sliding; a torque loop carries friction and rotors.
     pub fn true_torque(&self, motion: &State<N>) -> Joints<N> {
-        let mut needed = self.model.inverse_dynamics(motion);
-        match &self.gear {
-            Some(gear) if gear.loop_factor < 1.0 => {
-                needed -= gear.rotor.component_mul(&motion.qdd);
-            }
-            _ => {
-                let (q, qd) = (&motion.q, &motion.qd);
-                let (_, bias) = self.model.mass_matrix_and_bias(q, qd);
-                let (friction, state) = (&self.friction, &self.friction_state);
-                let (torque, _) = friction.torque_and_slope(q, qd, &bias, state, self.t_s);
-                needed += torque;
-            }
-        }
+        let (q, qd) = (&motion.q, &motion.qd);
+        let (_, bias) = self.model.mass_matrix_and_bias(q, qd);
+        let (friction, state) = (&self.friction, &self.friction_state);
+        let (friction, _) = friction.torque_and_slope(q, qd, &bias, state, self.t_s);
+        // Measured part of friction and rotors.
+        let (part, rotor) = match &self.gear {
+            Some(gear) if self.sensor().is_some() => (0.0, gear.rotor),
+            Some(gear) => (gear.loop_factor, gear.rotor),
+            None => (1.0, Joints::zeros()),
+        };
+        let needed = self.model.inverse_dynamics(motion);
+        let needed = needed + friction * part - rotor.component_mul(&motion.qdd) * (1.0 - part);
         self.drives.asked(&needed, self.t_s)
     }
 
     /// Torque that the sensors would measure without noise, N·m.
     fn sensed(&self) -> Joints<N> {
-        match &self.gear {
-            Some(gear) if gear.loop_factor < 1.0 => self.drives.asked(&gear.torque, self.t_s),
-            _ => self.tau,
+        match self.sensor() {
+            Some(gear) => self.drives.asked(&gear.torque, self.t_s),
+            None => self.tau,
         }
+    }
+
+    /// Gears whose torque is the measured one.
+    fn sensor(&self) -> Option<&Gear<N>> {
+        let measured = !self.config.effects.reports_asked_torque;
+        let gear = self.gear.as_ref();
+        gear.filter(|gear| measured && gear.loop_factor < 1.0)
     }
 
     /// Payload that the arm carries now.

@@ -217,6 +217,17 @@ fn a_torque_loop_measures_behind_the_gear_and_carries_friction_and_rotor() {
     let rotors = Joints::from(rotors.expect("six joints"));
     let links = model.inverse_dynamics(&motion) - rotors;
     assert!((plant.true_torque(&motion) - links).amax() < 1e-9);
+    // The torque asked of the loop contains a tenth of what the drive would need without the loop.
+    let asked = effects(PlantEffects {
+        reports_asked_torque: true,
+        ..behind
+    });
+    let open = effects(PlantEffects {
+        torque_loop_gain: 0.0,
+        ..behind
+    });
+    let tenth = (open.true_torque(&motion) - links) / 10.0;
+    assert!((asked.true_torque(&motion) - links - tenth).amax() < 1e-9);
     // At rest the sensor carries gravity, whatever the gear.
     plant.place(&Joints::repeat(0.3));
     let hold = plant.tau;
