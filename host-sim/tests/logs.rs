@@ -171,7 +171,13 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let wrong_row = |column: usize, value: f64| -> Change {
         Box::new(move |rows: &mut Vec<Row>| rows[1500][column] = value)
     };
-    let cases: [(Change, &str); 24] = [
+    let stuck = |column: usize| -> Change {
+        Box::new(move |rows: &mut Vec<Row>| {
+            let value = rows[1500][column];
+            rows[1500..].iter_mut().for_each(|row| row[column] = value);
+        })
+    };
+    let cases: [(Change, &str); 26] = [
         (
             scale(Q..Q + 18, 57.295_779_513),
             "are these degrees (--units q=deg, for all logs), does it jump there, or are the limits",
@@ -222,6 +228,14 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         ),
         (cut_off, "torque of joint 2 is cut off at "),
         (frozen, "joint 5: its torque is always 1.5000 N·m"),
+        (
+            stuck(Q + 2),
+            "position of joint 3 does not change from 7.500 to ",
+        ),
+        (
+            stuck(TAU + 2),
+            "torque of joint 3 does not change from 7.500 to ",
+        ),
         (wrong_row(Q + 2, -6.0), "q3 jumps at "),
         (
             wrong_row(TAU, 1e6),

@@ -13,7 +13,7 @@ use std::path::Path;
 const BEYOND: f64 = 3.0;
 /// Change of a sound position over its logged velocity, or its reciprocal.
 const SOUND_RATE: f64 = 1.25;
-/// Share of the rows in which a torque is cut off that is noted, and that is refused.
+/// Share of the rows in which a sensor stands still or a torque is cut off that is noted, and that is refused.
 const CUT_SHARE: (f64, f64) = (0.01, 0.05);
 /// Time for which no sensor gives one value while its joint moves, s.
 const STUCK_S: f64 = 0.5;
@@ -35,8 +35,8 @@ pub(super) struct Extremes {
     /// Largest torques of either sign while the joint moves, and rows in which it does.
     tops: [Top; 2],
     moving: f64,
-    /// Longest time for which the torque of the moving joint did not change, and that which lasts, from … to, s.
-    stuck: [(f64, f64); 2],
+    /// Of position and torque.
+    still: [Still; 2],
     pub(super) power: f64,
     scatter: f64,
     pub(super) rows: f64,
@@ -75,6 +75,43 @@ impl Top {
     }
 }
 
+/// Time for which a signal keeps one value while its joint moves.
+#[derive(Clone, Copy, Default)]
+struct Still {
+    /// Value; it lasts from … to, s, for which the joint moves so long, s.
+    value: f64,
+    lasts: (f64, f64, f64),
+    longest: (f64, f64, f64),
+    /// Time for which the joint moves, s.
+    moving_s: f64,
+}
+
+impl Still {
+    /// Adds the value at `t_s`; `moved_s` of the time before it the joint moves.
+    fn add(&mut self, value: f64, t_s: f64, moved_s: f64) {
+        if value != self.value {
+            (self.value, self.lasts) = (value, (t_s, t_s, 0.0));
+        }
+        self.lasts.1 = t_s;
+        self.lasts.2 += moved_s;
+        self.moving_s += moved_s;
+        if self.lasts.2 >= self.longest.2 {
+            self.longest = self.lasts;
+        }
+    }
+
+    /// What comes next is another value.
+    fn pause(&mut self) {
+        self.value = f64::NAN;
+    }
+
+    /// Longest time, from … to, s, if no sound sensor keeps a value for so long, and its share of the motion.
+    fn stuck(&self) -> Option<((f64, f64), f64)> {
+        let (from_s, to_s, moving_s) = self.longest;
+        (moving_s > STUCK_S).then(|| ((from_s, to_s), moving_s / self.moving_s))
+    }
+}
+
 impl Extremes {
     pub(super) fn none() -> Self {
         Self {
@@ -100,6 +137,16 @@ impl Extremes {
     pub(super) fn constant(&self) -> Option<f64> {
         let [(most, rows), _] = self.tops[0].0;
         (rows > 0.0 && rows == self.moving).then_some(most)
+    }
+
+    /// Torques at which it is cut off, N·m, with the share of the rows there.
+    fn cuts(&self) -> impl Iterator<Item = (f64, f64)> {
+        let tops = self.tops.iter().zip([1.0, -1.0]);
+        let cuts = tops.filter_map(|(top, sign)| {
+            let (value, share) = top.cut(self.moving)?;
+            Some((sign * value, share))
+        });
+        cuts.filter(|(value, _)| *value != 0.0)
     }
 
     /// RMS torque while the joint moves, N·m.
@@ -153,15 +200,15 @@ pub(super) fn scan(
                     least.add(-tau);
                     sums.moving += 1.0;
                 }
-                let [longest, lasting] = &mut sums.stuck;
-                if qd.abs() <= MOVED.0 || tau != b.tau[joint] {
-                    *lasting = (row.t_s, row.t_s);
-                }
-                lasting.1 = row.t_s;
-                if lasting.1 - lasting.0 > longest.1 - longest.0 {
-                    *longest = *lasting;
-                }
                 let logged = b.qd[joint];
+                for (still, value, speed) in [(0, q, logged), (1, tau, qd)] {
+                    let moved_s = if speed.abs() > MOVED.0 {
+                        row.t_s - b.t_s
+                    } else {
+                        0.0
+                    };
+                    sums.still[still].add(value, row.t_s, moved_s);
+                }
                 let products = [qd * qd, logged * logged, qd * logged];
                 sums.rates = std::array::from_fn(|k| sums.rates[k] + products[k]);
                 sums.power += tau * tau;
@@ -170,7 +217,7 @@ pub(super) fn scan(
                 sums.spikes += f64::from(jumps > (0.2 * limit).powi(2));
                 sums.at_top += f64::from(tau.abs() >= 0.995 * limit);
             } else {
-                sums.stuck[1] = (row.t_s, row.t_s);
+                sums.still.iter_mut().for_each(Still::pause);
             }
         }
         if last.len() == 2 {
@@ -232,7 +279,8 @@ pub(super) fn units(
         judgement.find(true, text);
         return;
     }
-    if let Some(text) = rates(extremes) {
+    still(judgement, extremes);
+    if let Some(text) = rates(extremes).filter(|_| !judgement.refuses()) {
         judgement.find(true, text);
         return;
     }
@@ -264,21 +312,11 @@ pub(super) fn units(
         if seen.constant().is_some() {
             continue;
         }
-        let findings = judgement.findings.len();
-        for (top, sign) in seen.tops.iter().zip([1.0, -1.0]) {
-            if let Some((value, share)) = top.cut(seen.moving).filter(|(value, _)| *value != 0.0) {
-                let (value, percent) = (sign * value, 100.0 * share);
-                judgement.find(share > CUT_SHARE.1, format!(
-                    "torque of joint {} is cut off at {value:.4} N·m in {percent:.1} % of the rows in which it moves: a slower path, or cut these rows out",
-                    number + 1
-                ));
-            }
-        }
-        let [(from_s, to_s), _] = seen.stuck;
-        if judgement.findings.len() == findings && to_s - from_s > STUCK_S {
-            judgement.find(false, format!(
-                "torque of joint {} does not change from {from_s:.3} to {to_s:.3} s while it moves: did its sensor stop, or is it cut off? Leave these rows out",
-                number + 1
+        for (value, share) in seen.cuts() {
+            judgement.find(share > CUT_SHARE.1, format!(
+                "torque of joint {} is cut off at {value:.4} N·m in {:.1} % of the rows in which it moves: a slower path, or cut these rows out",
+                number + 1,
+                100.0 * share
             ));
         }
         for (count, most, problem) in [
@@ -293,6 +331,25 @@ pub(super) fn units(
                 );
                 judgement.find(false, text);
             }
+        }
+    }
+}
+
+/// Sensors that stand still while their joint moves, by its position for the torque and by its logged velocity for the position.
+fn still(judgement: &mut Judgement, extremes: &[Extremes]) {
+    let moves = ["its logged velocity is not zero", "the joint moves"];
+    for (signal, name) in ["position", "torque"].into_iter().enumerate() {
+        for (number, seen) in extremes.iter().enumerate() {
+            // A torque that is cut off or never changes has findings of its own.
+            let told = signal == 1 && (seen.constant().is_some() || seen.cuts().next().is_some());
+            let Some(((from_s, to_s), share)) = seen.still[signal].stuck().filter(|_| !told) else {
+                continue;
+            };
+            judgement.find(share > CUT_SHARE.1, format!(
+                "{name} of joint {} does not change from {from_s:.3} to {to_s:.3} s while {}: did its sensor stop? Leave these rows out: the log is cut there",
+                number + 1,
+                moves[signal]
+            ));
         }
     }
 }
