@@ -100,7 +100,7 @@ impl Still {
         }
     }
 
-    /// What comes next is another value.
+    /// Let the next value count as another one.
     fn pause(&mut self) {
         self.value = f64::NAN;
     }
