@@ -15,6 +15,7 @@ use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::ratio;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -120,11 +121,14 @@ impl Arguments {
     /// Errors: a result that would take the place of a file that is read, or that no earlier run wrote; a training log that is
     /// given twice.
     fn check_files(&self) -> Result<(), Failure> {
-        let logs = &self.logs;
-        let twice = (1..logs.len()).find(|&place| logs[..place].contains(&logs[place]));
-        if let Some(place) = twice {
-            let log = logs[place].display();
-            return Err(unusable(format!("--log {log} is given twice")));
+        let mut seen = Vec::new();
+        for log in &self.logs {
+            let file = fs::canonicalize(log).ok();
+            if file.is_some() && seen.contains(&file) {
+                let log = log.display();
+                return Err(unusable(format!("--log {log} is given twice")));
+            }
+            seen.push(file);
         }
         let Some(out) = self.out.as_ref().filter(|_| !self.data_check) else {
             return Ok(());
@@ -138,9 +142,10 @@ impl Arguments {
             )));
         }
         let truth = self.truth.iter().map(Path::new).flat_map(Robot::files);
+        let logs = [&self.logs, &self.validate, &self.test];
         let read = self.robot.files().into_iter().chain(truth);
-        let logs = [logs, &self.validate, &self.test].into_iter().flatten();
-        let read = read.chain(logs.cloned()).chain(self.excitation.clone());
+        let read = read.chain(logs.into_iter().flatten().cloned());
+        let read = read.chain(self.excitation.clone());
         not_over(
             read.chain(self.columns_of_log.file()),
             within(out, &RESULTS),

@@ -140,6 +140,7 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
     write(here.join("other.json"), other);
     for (wrong, expected) in [
         ("--gains standstill", "no motor currents"),
+        ("--log ./good.csv", "--log ./good.csv is given twice"),
         ("--still-rad-s 50", "no joint moves"),
         ("--filter fourier --period-s 5", "do not repeat every 5 s"),
         ("--truth panda", "an arm with other parameters"),

@@ -279,11 +279,11 @@ pub(super) fn units(
         judgement.find(true, text);
         return;
     }
-    still(judgement, extremes);
-    if let Some(text) = rates(extremes).filter(|_| !judgement.refuses()) {
+    if let Some(text) = rates(extremes) {
         judgement.find(true, text);
         return;
     }
+    still(judgement, extremes);
     let strong: Vec<_> = joints()
         .filter(|(_, (joint, seen))| seen.rms() > BEYOND * joint.limits.torque)
         .collect();
