@@ -15,6 +15,7 @@ use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::ratio;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -121,14 +122,12 @@ impl Arguments {
     /// Errors: a result that would take the place of a file that is read, or that no earlier run wrote; a training log that is
     /// given twice.
     fn check_files(&self) -> Result<(), Failure> {
-        let mut seen = Vec::new();
+        let mut files = HashSet::new();
         for log in &self.logs {
-            let file = fs::canonicalize(log).ok();
-            if file.is_some() && seen.contains(&file) {
+            if fs::canonicalize(log).is_ok_and(|file| !files.insert(file)) {
                 let log = log.display();
                 return Err(unusable(format!("--log {log} is given twice")));
             }
-            seen.push(file);
         }
         let Some(out) = self.out.as_ref().filter(|_| !self.data_check) else {
             return Ok(());

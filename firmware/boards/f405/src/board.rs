@@ -42,7 +42,7 @@ pub trait Drive: Sized + Send {
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
     fn start(clocks: &Clocks) -> Option<Self>;
 
-    /// Before each tick: reports faults of stage and encoder to the session, takes what drives on a bus have reported.
+    /// Take the reports of drives on a bus, and pass faults of stage and encoder to the session; before each tick.
     fn watch(&mut self, session: &mut BoardSession);
 
     /// Sensor of the own joint.

@@ -251,9 +251,9 @@ impl Scenario {
                 torque_offset_drift: 0.003,
                 ..elastic
             },
-            Source::Link | Source::Asked => PlantEffects {
+            Source::Link | Source::Commanded => PlantEffects {
                 torque_loop_gain: TORQUE_LOOP_GAIN,
-                reports_asked_torque: source == Source::Asked,
+                reports_commanded_torque: source == Source::Commanded,
                 torque_offset: 0.003,
                 ..elastic
             },

@@ -107,8 +107,8 @@ pub(super) enum Source {
     Current,
     /// A sensor behind the gear, inside a torque loop: friction and rotor are not measured.
     Link,
-    /// Torque asked of the loop of such drives.
-    Asked,
+    /// Commanded torque of such drives.
+    Commanded,
     /// Motor current of a rigid arm with exact sensors and 1 % noise.
     Rigid,
 }
@@ -116,7 +116,7 @@ pub(super) enum Source {
 impl Source {
     /// True if the drives have a torque loop.
     pub(super) fn has_torque_loop(self) -> bool {
-        matches!(self, Self::Link | Self::Asked)
+        matches!(self, Self::Link | Self::Commanded)
     }
 }
 
@@ -198,10 +198,10 @@ const SCENARIOS: &[Row] = &[
         s.starts = &[
             (Start::Description, Source::Current),
             (Start::Description, Source::Link),
-            (Start::Description, Source::Asked),
+            (Start::Description, Source::Commanded),
             (Start::Bank, Source::Current),
             (Start::Bank, Source::Link),
-            (Start::Bank, Source::Asked),
+            (Start::Bank, Source::Commanded),
         ];
         (s.seconds, s.quick_s) = (60.0, 30.0);
         (s.against_pd, s.against_batch) = (true, true);

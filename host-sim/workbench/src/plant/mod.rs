@@ -6,10 +6,10 @@ mod friction;
 #[cfg(test)]
 mod tests;
 
-pub use effects::{Events, Payload, PlantEffects, Push, ReportFaults};
+pub use effects::{PlantEffects, ReportFaults};
 
 use crate::dynamics::{Joints, ReferenceModel, State};
-use crate::robot::Robot;
+use crate::robot::{Link, Robot};
 use effects::{DriveErrors, ReportQueue};
 use friction::{FrictionModel, FrictionState, Gear, solved};
 use rand::{Rng, SeedableRng};
@@ -47,12 +47,83 @@ impl Default for PlantConfig {
     }
 }
 
+/// A body that the hand holds for a while.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Payload {
+    /// The body, in the frame of the last link.
+    pub body: Link,
+    /// Pick-up time, s.
+    pub from_s: f64,
+    /// Release time, s.
+    pub to_s: f64,
+}
+
+/// An external torque on the joints, for example a contact or a collision.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Push<const N: usize> {
+    /// Torque on every joint while it lasts, N·m; positive accelerates +q.
+    pub torque: Joints<N>,
+    /// Start, s.
+    pub from_s: f64,
+    /// End, s.
+    pub to_s: f64,
+}
+
+/// Time in which a push rises, and falls again, s.
+const RISE_S: f64 = 0.01;
+
+/// All events of one run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Events<const N: usize> {
+    /// Payloads; the first one whose interval contains the time counts.
+    pub payloads: Vec<Payload>,
+    /// Pushes; they add up.
+    pub pushes: Vec<Push<N>>,
+}
+
+impl<const N: usize> Events<N> {
+    /// Index of the payload in the hand at `t_s`.
+    fn payload_at(&self, t_s: f64) -> Option<usize> {
+        // Half a nanosecond of slack: the sum of many steps is not exactly the time they make.
+        let now = t_s + 5e-10;
+        let held = |payload: &Payload| (payload.from_s..payload.to_s).contains(&now);
+        self.payloads.iter().position(held)
+    }
+
+    /// Torque from outside at `t_s`, N·m.
+    fn push_at(&self, t_s: f64) -> Joints<N> {
+        let mut torque = Joints::zeros();
+        for push in &self.pushes {
+            let inside = (t_s - push.from_s).min(push.to_s - t_s);
+            torque += push.torque * (inside / RISE_S).clamp(0.0, 1.0);
+        }
+        torque
+    }
+}
+
+impl Payload {
+    /// A cube of `mass_kg` and of steel's third in density (2600 kg/m³), its centre at `com_m` in the last link's frame.
+    pub fn cube(mass_kg: f64, com_m: [f64; 3], from_s: f64, to_s: f64) -> Self {
+        let side = (mass_kg / 2600.0).cbrt();
+        let moment = mass_kg * side * side / 6.0;
+        Self {
+            body: Link {
+                mass: mass_kg,
+                com: com_m.into(),
+                inertia_com: nalgebra::Matrix3::identity() * moment,
+            },
+            from_s,
+            to_s,
+        }
+    }
+}
+
 /// Sensor values of the arm at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement<const N: usize> {
     /// Encoder positions, rad.
     pub q: Joints<N>,
-    /// Torque asked of the drives, or of a sensor behind the gear, over the last period, with noise, N·m.
+    /// Commanded torque of the drives, or torque of a sensor behind the gear, over the last period, with noise, N·m.
     pub tau: Joints<N>,
 }
 
@@ -236,7 +307,8 @@ impl<const N: usize> Plant<N> {
     }
 
     /// Torque that the drives need for this motion, free of noise, at the arm's present age and payload, N·m: what a
-    /// sensor of no noise would measure. Gears count as rigid, friction as sliding; a torque loop carries friction and rotors.
+    /// sensor of no noise would measure. Gears count as rigid, friction as sliding; of a torque loop's friction and rotors,
+    /// the sensor measures none, and the commanded torque has the part that the loop leaves.
     pub fn true_torque(&self, motion: &State<N>) -> Joints<N> {
         let (q, qd) = (&motion.q, &motion.qd);
         let (_, bias) = self.model.mass_matrix_and_bias(q, qd);
@@ -261,11 +333,11 @@ impl<const N: usize> Plant<N> {
         }
     }
 
-    /// Gears whose torque is the measured one.
+    /// Gears with the sensor of a torque loop, if its torque is the measured one.
     fn sensor(&self) -> Option<&Gear<N>> {
-        let measured = !self.config.effects.reports_asked_torque;
+        let commanded = self.config.effects.reports_commanded_torque;
         let gear = self.gear.as_ref();
-        gear.filter(|gear| measured && gear.loop_factor < 1.0)
+        gear.filter(|gear| gear.loop_factor < 1.0 && !commanded)
     }
 
     /// Payload that the arm carries now.

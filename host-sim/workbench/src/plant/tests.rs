@@ -217,9 +217,9 @@ fn a_torque_loop_measures_behind_the_gear_and_carries_friction_and_rotor() {
     let rotors = Joints::from(rotors.expect("six joints"));
     let links = model.inverse_dynamics(&motion) - rotors;
     assert!((plant.true_torque(&motion) - links).amax() < 1e-9);
-    // The torque asked of the loop contains a tenth of what the drive would need without the loop.
-    let asked = effects(PlantEffects {
-        reports_asked_torque: true,
+    // The commanded torque contains a tenth of friction and rotor.
+    let commanded = effects(PlantEffects {
+        reports_commanded_torque: true,
         ..behind
     });
     let open = effects(PlantEffects {
@@ -227,7 +227,7 @@ fn a_torque_loop_measures_behind_the_gear_and_carries_friction_and_rotor() {
         ..behind
     });
     let tenth = (open.true_torque(&motion) - links) / 10.0;
-    assert!((asked.true_torque(&motion) - links - tenth).amax() < 1e-9);
+    assert!((commanded.true_torque(&motion) - links - tenth).amax() < 1e-9);
     // At rest the sensor carries gravity, whatever the gear.
     plant.place(&Joints::repeat(0.3));
     let hold = plant.tau;
@@ -330,4 +330,69 @@ fn the_same_seed_repeats_every_bit() {
     };
     assert_eq!(run(1), run(1));
     assert_ne!(run(1), run(2));
+}
+
+fn with(events: Events<6>) -> Plant<6> {
+    let plant = Plant::new(&truth(), PlantConfig::default(), 1).expect("six joints");
+    plant.with_events(events)
+}
+
+#[test]
+fn a_payload_loads_the_joints_only_while_it_is_held() {
+    let body = Payload::cube(3.0, [0.02, -0.01, 0.05], 0.010, 0.020);
+    let mut plant = with(Events {
+        payloads: vec![body],
+        pushes: Vec::new(),
+    });
+    let still = State::rest(Joints::<6>::zeros());
+    let before = plant.true_torque(&still);
+    let mut loads = Vec::new();
+    for _ in 0..30 {
+        plant.advance(&before, 1e-3);
+        loads.push((plant.carried().is_some(), plant.true_torque(&still)));
+    }
+    for (tick, (carried, torque)) in loads.iter().enumerate() {
+        // The payload is looked at when a step begins: after tick 10 its first step has run.
+        assert_eq!(*carried, (10..20).contains(&tick), "tick {tick}");
+        if *carried {
+            // Stretched out, the shoulder carries a lever of 0.82 m and more.
+            assert!((torque[1] - before[1]).abs() > 3.0 * 9.81 * 0.75);
+        } else {
+            assert!((torque - before).amax() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn a_push_moves_the_arm_but_not_the_torque_of_a_motion() {
+    let mut torque = Joints::zeros();
+    torque[0] = 40.0;
+    let push = Push {
+        torque,
+        from_s: 0.05,
+        to_s: 0.15,
+    };
+    let events = Events {
+        payloads: Vec::new(),
+        pushes: vec![push],
+    };
+    assert_eq!(events.push_at(0.04), Joints::<6>::zeros());
+    assert!(
+        (events.push_at(0.055)[0] - 20.0).abs() < 1e-9,
+        "half way up"
+    );
+    assert_eq!(events.push_at(0.1), torque);
+    let (mut pushed, mut left) = (with(events), with(Events::default()));
+    let hold = left.true_torque(&State::rest(Joints::zeros()));
+    for _ in 0..150 {
+        pushed.advance(&hold, 1e-3);
+        left.advance(&hold, 1e-3);
+    }
+    assert!((pushed.q() - left.q())[0] > 0.01);
+    let motion = State {
+        q: Joints::repeat(0.3),
+        qd: Joints::repeat(1.0),
+        qdd: Joints::repeat(2.0),
+    };
+    assert_eq!(pushed.true_torque(&motion), left.true_torque(&motion));
 }

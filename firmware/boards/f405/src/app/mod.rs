@@ -121,7 +121,7 @@ impl<B: Board> Tick<B> {
             if count == 0 {
                 break;
             }
-            // What the drives have reported before this frame came belongs to its tick.
+            // Reports of the drives from before this frame belong to its tick.
             self.drive.watch(self.session);
             let bytes = frame.get(..count).unwrap_or_default();
             self.session

@@ -13,7 +13,7 @@ use std::path::Path;
 const BEYOND: f64 = 3.0;
 /// Change of a sound position over its logged velocity, or its reciprocal.
 const SOUND_RATE: f64 = 1.25;
-/// Share of the rows in which a sensor stands still or a torque is cut off that is noted, and that is refused.
+/// Share of the rows in which a sensor is stuck or a torque is cut off that is noted, and that is refused.
 const CUT_SHARE: (f64, f64) = (0.01, 0.05);
 /// Time for which no sensor gives one value while its joint moves, s.
 const STUCK_S: f64 = 0.5;
@@ -36,7 +36,7 @@ pub(super) struct Extremes {
     tops: [Top; 2],
     moving: f64,
     /// Of position and torque.
-    still: [Still; 2],
+    unchanged: [Unchanged; 2],
     pub(super) power: f64,
     scatter: f64,
     pub(super) rows: f64,
@@ -75,40 +75,53 @@ impl Top {
     }
 }
 
-/// Time for which a signal keeps one value while its joint moves.
+/// Time in which a signal keeps one value.
 #[derive(Clone, Copy, Default)]
-struct Still {
-    /// Value; it lasts from … to, s, for which the joint moves so long, s.
+struct Run {
     value: f64,
-    lasts: (f64, f64, f64),
-    longest: (f64, f64, f64),
-    /// Time for which the joint moves, s.
+    from_s: f64,
+    to_s: f64,
+    /// Part of it in which the joint moves, s.
     moving_s: f64,
 }
 
-impl Still {
-    /// Adds the value at `t_s`; `moved_s` of the time before it the joint moves.
-    fn add(&mut self, value: f64, t_s: f64, moved_s: f64) {
-        if value != self.value {
-            (self.value, self.lasts) = (value, (t_s, t_s, 0.0));
+/// The run of a signal that lasts, and the one with the most motion.
+#[derive(Clone, Copy, Default)]
+struct Unchanged {
+    last: Run,
+    longest: Run,
+    /// Time in which the joint moves, s.
+    moving_s: f64,
+}
+
+impl Unchanged {
+    /// Adds the value at `t_s`; in `moving_s` of the time since the row before, the joint moves.
+    fn add(&mut self, value: f64, t_s: f64, moving_s: f64) {
+        if value != self.last.value {
+            self.last = Run {
+                value,
+                from_s: t_s,
+                to_s: t_s,
+                moving_s: 0.0,
+            };
         }
-        self.lasts.1 = t_s;
-        self.lasts.2 += moved_s;
-        self.moving_s += moved_s;
-        if self.lasts.2 >= self.longest.2 {
-            self.longest = self.lasts;
+        self.last.to_s = t_s;
+        self.last.moving_s += moving_s;
+        self.moving_s += moving_s;
+        if self.last.moving_s >= self.longest.moving_s {
+            self.longest = self.last;
         }
     }
 
-    /// Let the next value count as another one.
+    /// End the run: the next value begins one.
     fn pause(&mut self) {
-        self.value = f64::NAN;
+        self.last.value = f64::NAN;
     }
 
-    /// Longest time, from … to, s, if no sound sensor keeps a value for so long, and its share of the motion.
-    fn stuck(&self) -> Option<((f64, f64), f64)> {
-        let (from_s, to_s, moving_s) = self.longest;
-        (moving_s > STUCK_S).then(|| ((from_s, to_s), moving_s / self.moving_s))
+    /// Longest run, if no sound sensor keeps a value for so long, and its share of the motion.
+    fn stuck(&self) -> Option<(Run, f64)> {
+        let share = self.longest.moving_s / self.moving_s;
+        (self.longest.moving_s > STUCK_S).then_some((self.longest, share))
     }
 }
 
@@ -201,13 +214,10 @@ pub(super) fn scan(
                     sums.moving += 1.0;
                 }
                 let logged = b.qd[joint];
-                for (still, value, speed) in [(0, q, logged), (1, tau, qd)] {
-                    let moved_s = if speed.abs() > MOVED.0 {
-                        row.t_s - b.t_s
-                    } else {
-                        0.0
-                    };
-                    sums.still[still].add(value, row.t_s, moved_s);
+                let signals = sums.unchanged.iter_mut().zip([(q, logged), (tau, qd)]);
+                for (unchanged, (value, speed)) in signals {
+                    let moves = f64::from(speed.abs() > MOVED.0);
+                    unchanged.add(value, row.t_s, moves * (row.t_s - b.t_s));
                 }
                 let products = [qd * qd, logged * logged, qd * logged];
                 sums.rates = std::array::from_fn(|k| sums.rates[k] + products[k]);
@@ -217,7 +227,7 @@ pub(super) fn scan(
                 sums.spikes += f64::from(jumps > (0.2 * limit).powi(2));
                 sums.at_top += f64::from(tau.abs() >= 0.995 * limit);
             } else {
-                sums.still.iter_mut().for_each(Still::pause);
+                sums.unchanged.iter_mut().for_each(Unchanged::pause);
             }
         }
         if last.len() == 2 {
@@ -283,7 +293,7 @@ pub(super) fn units(
         judgement.find(true, text);
         return;
     }
-    still(judgement, extremes);
+    stuck(judgement, extremes);
     let strong: Vec<_> = joints()
         .filter(|(_, (joint, seen))| seen.rms() > BEYOND * joint.limits.torque)
         .collect();
@@ -335,20 +345,27 @@ pub(super) fn units(
     }
 }
 
-/// Sensors that stand still while their joint moves, by its position for the torque and by its logged velocity for the position.
-fn still(judgement: &mut Judgement, extremes: &[Extremes]) {
-    let moves = ["its logged velocity is not zero", "the joint moves"];
-    for (signal, name) in ["position", "torque"].into_iter().enumerate() {
+/// Sensors that keep one value while their joint moves, by its logged velocity for a position, by its position for a torque.
+fn stuck(judgement: &mut Judgement, extremes: &[Extremes]) {
+    let signals = [
+        ("position", "its logged velocity is not zero"),
+        ("torque", "the joint moves"),
+    ];
+    for (signal, (name, moves)) in signals.into_iter().enumerate() {
         for (number, seen) in extremes.iter().enumerate() {
-            // A torque that is cut off or never changes has findings of its own.
-            let told = signal == 1 && (seen.constant().is_some() || seen.cuts().next().is_some());
-            let Some(((from_s, to_s), share)) = seen.still[signal].stuck().filter(|_| !told) else {
+            let Some((run, share)) = seen.unchanged[signal].stuck() else {
                 continue;
             };
+            // A torque that is cut off or never changes has a finding of its own.
+            let cut = seen.cuts().any(|(value, _)| value == run.value);
+            if name == "torque" && (cut || seen.constant().is_some()) {
+                continue;
+            }
             judgement.find(share > CUT_SHARE.1, format!(
-                "{name} of joint {} does not change from {from_s:.3} to {to_s:.3} s while {}: did its sensor stop? Leave these rows out: the log is cut there",
+                "{name} of joint {} does not change from {:.3} to {:.3} s while {moves}: is its sensor stuck? Leave these rows out: the log is cut there",
                 number + 1,
-                moves[signal]
+                run.from_s,
+                run.to_s
             ));
         }
     }
