@@ -1,14 +1,14 @@
-//! Options for events on the simulated arm and faults of its reports.
+//! Options for disturbances of the simulated arm and faults of its reports.
 
 use super::{Failure, finite, fitting, not_negative, positive, share, unusable};
-use clap::Args;
+use clap::{Args, FromArgMatches as _};
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// Options of `simulate` and `run`.
-#[derive(Debug, Args)]
+/// Options for events and effects on the simulated arm.
+#[derive(Debug, PartialEq, Args)]
 #[command(next_help_heading = "Disturbances")]
 pub(super) struct DisturbanceArguments {
     /// A payload of so many kg is in the hand from T1 to T2, s; may be given several times
@@ -30,6 +30,15 @@ pub(super) struct DisturbanceArguments {
     /// Torque the drives make over the torque asked of them: torque constants that are wrong
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     drive_gain: f64,
+    /// Effects of real drives: elastic gears, backlash, sticking, drifting sensors, delays (see docs/identification.md)
+    #[arg(long, value_name = "FILE.toml")]
+    pub(super) effects: Option<PathBuf>,
+}
+
+/// Options for faults of the reports of a simulated arm.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Disturbances")]
+pub(super) struct FaultArguments {
     /// Factor on every reported torque: a wrong current sensor; negative = wrong sign
     #[arg(long, default_value_t = 1.0, allow_hyphen_values = true, value_parser = not_zero)]
     sensor_gain: f64,
@@ -48,9 +57,6 @@ pub(super) struct DisturbanceArguments {
     /// Share of reports that are late: the one before comes in their place
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     late: f64,
-    /// Effects of real drives: elastic gears, backlash, sticking, drifting sensors, delays (see docs/identification.md)
-    #[arg(long, value_name = "FILE.toml")]
-    pub(super) effects: Option<PathBuf>,
 }
 
 /// Something from one time to another, s.
@@ -148,6 +154,17 @@ impl DisturbanceArguments {
         Ok(events)
     }
 
+    /// True where an option is not its default.
+    ///
+    /// Errors: a default that is refused.
+    pub(super) fn any(&self) -> Result<bool, Failure> {
+        let command = Self::augment_args(clap::Command::new(""));
+        let none = Self::from_arg_matches(&command.try_get_matches_from([""])?)?;
+        Ok(*self != none)
+    }
+}
+
+impl FaultArguments {
     /// Faults of the arm's reports that the options name.
     pub(super) fn faults(&self) -> ReportFaults {
         ReportFaults {

@@ -19,8 +19,7 @@ use foretorque_workbench::files::write_whole;
 use foretorque_workbench::plant::{Measurement, Plant};
 use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
-use foretorque_workbench::trajectory::via::ViaPath;
-use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S, VALIDATION_S};
+use foretorque_workbench::trajectory::Trajectory;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -43,7 +42,7 @@ pub(super) struct Arguments {
     /// Seed of validation path, simulated arm and noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Play this long, s; an excitation repeats, `validation` is made as long, everything else ends by itself
+    /// Play this long, s; an excitation repeats, a validation path is made as long, everything else ends by itself
     #[arg(long, value_parser = positive)]
     duration_s: Option<f64>,
     /// Parameter bank to start from; without it the description's rigid body
@@ -109,8 +108,13 @@ impl Arguments {
         robot: &Robot,
     ) -> Result<(), Failure> {
         let robot = &with_rotors(robot)?;
+        let simulated = self.bus.is_simulated();
+        if !simulated && (self.exact || self.disturbances.any()?) {
+            let problem = "the arm on this bus is real: leave out --exact and the disturbances";
+            return Err(unusable(problem.to_owned()));
+        }
         let drive = Drive::<A, N, P>::new(self, profile, robot)?;
-        if !self.bus.is_simulated() {
+        if !simulated {
             return drive.play(Box::new(wired(&self.bus, profile)?), None);
         }
         let mut alone = None;
@@ -165,14 +169,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
                 joint.drive.torque_limit = joint.drive.torque_limit.min(bounds.torque_nm);
             }
         }
-        let seed = arguments.seed;
-        let path = match (arguments.trajectory.as_str(), arguments.duration_s) {
-            ("validation", Some(length_s)) if length_s > VALIDATION_S => {
-                let peak = VALIDATION_PEAK_RAD_S;
-                Trajectory::Via(ViaPath::random(robot, seed, length_s, peak))
-            }
-            (name, length_s) => Trajectory::load(name, robot, seed, length_s, period_s)?,
-        };
+        let (name, length_s) = (&arguments.trajectory, arguments.duration_s);
+        let path = Trajectory::load(name, robot, arguments.seed, length_s, period_s)?;
         path.check(robot, period_s)?;
         let duration_s = arguments.duration_s.unwrap_or(f64::INFINITY);
         let duration_s = duration_s.min(path.duration_s());

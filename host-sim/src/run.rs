@@ -293,7 +293,9 @@ impl<const N: usize> Log<N> {
         arguments.verdict.show(&report.troubles)?;
         let (ticks, errors) = (report.ticks, report.link.errors());
         let rms = report.tracking_rms_mrad;
-        show!("{ticks} ticks, tracking error {rms:.3} mrad RMS, {errors} link errors")?;
+        show!(
+            "{ticks} ticks, tracking error {rms:.3} mrad RMS, {errors} link errors and missed deadlines"
+        )?;
         if report.run.learning {
             show!("{}", report.learnt.line())?;
         }

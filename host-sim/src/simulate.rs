@@ -1,5 +1,5 @@
 use super::arm::{RobotOptions, with_rotors};
-use super::disturbances::DisturbanceArguments;
+use super::disturbances::{DisturbanceArguments, FaultArguments};
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, keep_stdout_for, show};
 use super::{Failure, not_negative, not_over, positive, unsupported, unusable};
@@ -44,7 +44,8 @@ pub(super) struct MotionArguments {
     /// Seed of plant, noise and validation path
     #[arg(long, default_value_t = 1)]
     pub(super) seed: u64,
-    /// Play this long, s, at most 100000; an excitation repeats, everything else ends by itself
+    /// Play this long, s, at most 100000; an excitation repeats, a validation path is made as long, everything else
+    /// ends by itself
     #[arg(long, value_parser = duration)]
     duration_s: Option<f64>,
     /// Bandwidth of the PD controller, Hz; at most 100
@@ -55,6 +56,8 @@ pub(super) struct MotionArguments {
     torque_noise: f64,
     #[command(flatten)]
     disturbances: DisturbanceArguments,
+    #[command(flatten)]
+    faults: FaultArguments,
     /// The plant is the description itself, not a variation of it by up to 20 %
     #[arg(long)]
     exact: bool,
@@ -156,7 +159,7 @@ impl MotionArguments {
             plant: Plant::new(&truth, config, self.seed)
                 .ok_or_else(other_size)?
                 .with_events(self.disturbances.events::<N>()?)
-                .with_faults(self.disturbances.faults()),
+                .with_faults(self.faults.faults()),
             pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
             trajectory,
             ticks: (duration_s / PERIOD_S).round() as usize,

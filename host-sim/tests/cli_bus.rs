@@ -144,6 +144,15 @@ robot = \"ur5\" | robot = \"panda\" | 6 joints contradict the 7 joints of robot 
             refused(&here, &arguments, named);
         }
     }
+    let bus = "--bus socketcan:nowhere7,nowhere8";
+    let real = format!("drive --profile {PROFILE} {bus} --trajectory validation --out out");
+    for option in ["--exact", "--payload 1@2..3", "--load-friction 0.1"] {
+        refused(
+            &here,
+            &format!("{real} {option}"),
+            "the arm on this bus is real",
+        );
+    }
     assert!(!here.join("out").exists());
 }
 

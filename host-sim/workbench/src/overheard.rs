@@ -147,7 +147,14 @@ mod tests {
         let [own, along] = ["own.csv", "along.csv"].map(|name| here.path().join(name));
         let mut recorder = Recorder::create(&own, selection, 6, 1e-3).expect("it can be written");
         recorder.take(&frames).expect("it can be written");
-        recorder.finish().expect("it can be written");
+        let (records, incomplete) = recorder.finish().expect("it can be written");
+        assert_eq!((records, incomplete), (100, 0));
+        // The last record has lost its last frame.
+        let cut = here.path().join("cut.csv");
+        let mut recorder = Recorder::create(&cut, selection, 6, 1e-3).expect("it can be written");
+        let (_, begun) = frames.split_last().expect("there are frames");
+        recorder.take(begun).expect("it can be written");
+        assert_eq!(recorder.finish().expect("it can be written"), (99, 1));
         let mut bytes = sent(BoardMessage::Hello(board.hello().clone()));
         bytes.extend(
             frames

@@ -187,7 +187,7 @@ impl Recorder {
     /// Errors: the file system's.
     pub fn finish(self) -> io::Result<(u64, u64)> {
         self.table.finish()?;
-        Ok((self.whole, self.torn))
+        Ok((self.whole, self.torn + u64::from(self.open.is_some())))
     }
 }
 

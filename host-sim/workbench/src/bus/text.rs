@@ -2,7 +2,7 @@
 //!
 //! | adapter | line | source |
 //! |---|---|---|
-//! | slcan | `t1232AABB`, `T`, `r`, `R`; CAN-FD: `d`, `D`, with bit rate switch `b`, `B` | Lawicel CAN232 manual; CANable 2 |
+//! | slcan | `t1232AABB`, `T`, `r`; CAN-FD: `d`, `D`, with bit rate switch `b`, `B` | Lawicel CAN232 manual; CANable 2 |
 //! | fdcanusb | `can send 8001 AABB BF`, `rcv 100 AABB E B F` | mjbots fdcanusb, docs/reference.md |
 
 use super::{Line, frame_of};
@@ -138,7 +138,7 @@ fn fdcanusb(line: &str) -> Option<Frame> {
     let is = |flag: &str| flags.contains(&flag);
     let mut frame = frame_of(id, is("E") || id > Frame::STANDARD_MAX, &data)?;
     frame.fd = is("F");
-    Some(frame)
+    (frame.fd || data.len() <= 8).then_some(frame)
 }
 
 fn bytes(hex: &str) -> Option<Vec<u8>> {

@@ -14,7 +14,7 @@ use std::path::Path;
 use via::{ViaPath, agree, between};
 
 /// Length of the validation path, s.
-pub const VALIDATION_S: f64 = 30.0;
+const VALIDATION_S: f64 = 30.0;
 /// Fastest joint of the validation path, rad/s.
 pub const VALIDATION_PEAK_RAD_S: f64 = 2.7;
 
@@ -162,7 +162,8 @@ impl<const N: usize> Trajectory<N> {
     /// time, q, qd and qdd. Limits are checked.
     ///
     /// * `seed` of the validation path
-    /// * `duration_s` for which an excitation is repeated; one period where it is `None`
+    /// * `duration_s` for which an excitation is repeated, one period where it is `None`; a longer validation path is made as
+    ///   long
     /// * `period_s` step of the limit checks and of the samples of a tool path
     ///
     /// Errors: one line that names the file.
@@ -174,7 +175,9 @@ impl<const N: usize> Trajectory<N> {
         period_s: f64,
     ) -> Result<Self, Refusal> {
         if name == "validation" {
-            return Ok(Self::validation(robot, seed));
+            let length_s = duration_s.unwrap_or(VALIDATION_S).max(VALIDATION_S);
+            let path = ViaPath::random(robot, seed, length_s, VALIDATION_PEAK_RAD_S);
+            return Ok(Self::Via(path));
         }
         let path = Path::new(name);
         let trajectory = match path.extension().and_then(|extension| extension.to_str()) {
@@ -235,6 +238,10 @@ mod tests {
             assert!((2.4..=2.7 + 1e-4).contains(&peak), "seed {seed}: {peak}");
             let (start, end) = (path.at(0.0), path.at(30.0));
             assert!(start.qd.amax() < 1e-9 && end.qd.amax() < 1e-9);
+        }
+        for (asked_s, length_s) in [(None, 30.0), (Some(2.0), 30.0), (Some(45.0), 45.0)] {
+            let path = Trajectory::<6>::load("validation", &robot, 1, asked_s, 1e-3);
+            assert_eq!(path.expect("inside the limits").duration_s(), length_s);
         }
     }
 

@@ -156,7 +156,7 @@ impl Serialize for LinkReport {
 }
 
 impl LinkReport {
-    /// Everything that is not a good frame.
+    /// Bad, missing and unknown frames, missed deadlines and overruns.
     pub fn errors(&self) -> u32 {
         self.0[1..].iter().map(|(_, _, count)| count).sum()
     }

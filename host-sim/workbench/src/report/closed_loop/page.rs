@@ -44,7 +44,7 @@ pub fn page<const N: usize>(
             "tracking error, mean of the joints' RMS",
         )
         .card(report.ticks, "ticks")
-        .card(report.link.errors(), "link errors")
+        .card(report.link.errors(), "link errors and missed deadlines")
         .card(
             report.flag_ticks.values().sum::<usize>(),
             "flags raised, summed over all ticks",
