@@ -77,7 +77,7 @@ struct Summary {
     learning: bool,
     /// Over the second half of the run.
     tracking_rms_mrad: f64,
-    /// With the drives' own PD alone; simulated buses only.
+    /// With the drives' own PD alone; simulated buses only, and only where it plays the whole path.
     alone_tracking_rms_mrad: Option<f64>,
     tracking_ratio: Option<f64>,
     jitter_median_us: f32,
@@ -121,7 +121,10 @@ impl Arguments {
         if !self.alone {
             let network = Box::new(drive.simulated()?);
             let played = drive.tracking(network, true, &mut |_| Ok(()))?;
-            alone = Some(played.rms_mrad());
+            alone = Some(played.rms_mrad()).filter(|_| played.ended.is_none());
+            if let Some(reason) = played.ended {
+                show!("PD of the drives alone: {reason}")?;
+            }
         }
         drive.play(Box::new(drive.simulated()?), alone)
     }
@@ -149,7 +152,7 @@ struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Played<A, N, P> {
     fn rms_mrad(&self) -> f64 {
-        (self.squares / (N * self.counted.max(1)) as f64).sqrt() * 1e3
+        (self.squares / (N * self.counted) as f64).sqrt() * 1e3
     }
 }
 

@@ -27,7 +27,7 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_MISALIGNED = 3,
   // The period is not between 0.1 ms and 20 ms.
   FORETORQUE_STATUS_PERIOD = 4,
-  // The bytes are no parameter bank for this arm, or one with limits beyond the arm's.
+  // The bytes are no parameter bank for this arm, or one with limits beyond the arm's or with implausible torques.
   FORETORQUE_STATUS_BANK = 5,
   // Only while learning is off.
   FORETORQUE_STATUS_LEARNING_ON = 6,
@@ -202,7 +202,7 @@ ForetorqueStatus foretorque_clear_fault(struct Foretorque *it, uint8_t *reason);
 ForetorqueStatus foretorque_disarm(struct Foretorque *it);
 
 // Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
-// An unknown code, or 0, latches 3. An emergency stop also stops learning, until learning is switched off.
+// A code that is no fault of docs/safety.md latches 3. An emergency stop also stops learning, until learning is switched off.
 //
 // After a reset, call it with the `latched` that was kept, unless that is 0.
 //

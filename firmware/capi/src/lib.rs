@@ -93,14 +93,14 @@ impl Foretorque {
 
     fn load(&mut self, bytes: &[u8]) -> Option<()> {
         self.incoming.decode_into(bytes).ok()?;
-        let set = self.incoming.set::<Arm, _, _>().ok()?;
+        let loaded = self.incoming.parameters::<Arm, _, _>().ok()?;
         let config = self
             .incoming
             .feed_forward_config::<Arm, _, _>(seconds(self.period_us))
             .ok()?;
         self.feed_forward.configure(config).ok()?;
-        let start = self.incoming.start_deviations::<Arm, _, _>();
-        self.feed_forward.load_with(set, start, &mut self.exchange);
+        self.feed_forward
+            .load_with(loaded.set, loaded.start, &mut self.exchange);
         core::mem::swap(&mut self.bank, &mut self.incoming);
         Some(())
     }

@@ -58,7 +58,7 @@ pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueSta
 }
 
 /// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
-/// An unknown code, or 0, latches 3. An emergency stop also stops learning, until learning is switched off.
+/// A code that is no fault of docs/safety.md latches 3. An emergency stop also stops learning, until learning is switched off.
 ///
 /// After a reset, call it with the `latched` that was kept, unless that is 0.
 ///
@@ -67,10 +67,8 @@ pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueSta
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> ForetorqueStatus {
     let reason = SafetyReason::ALL.get(usize::from(reason)).copied();
-    let fault = match reason {
-        None | Some(SafetyReason::None) => SafetyReason::Stopped,
-        Some(reason) => reason,
-    };
+    let latches = reason.filter(|reason| reason.latches());
+    let fault = latches.unwrap_or(SafetyReason::Stopped);
     // SAFETY: as the caller promises.
     unsafe {
         act(it, |it| {

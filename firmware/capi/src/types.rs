@@ -18,7 +18,7 @@ pub enum ForetorqueStatus {
     Misaligned = 3,
     /// The period is not between 0.1 ms and 20 ms.
     Period = 4,
-    /// The bytes are no parameter bank for this arm, or one with limits beyond the arm's.
+    /// The bytes are no parameter bank for this arm, or one with limits beyond the arm's or with implausible torques.
     Bank = 5,
     /// Only while learning is off.
     LearningOn = 6,

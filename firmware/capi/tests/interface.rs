@@ -4,6 +4,7 @@
 //! `cargo xtask test` builds the C program first, `cargo xtask capi` does so alone.
 
 use foretorque_capi::*;
+use foretorque_link::bank::ParameterBank;
 use foretorque_link::safety::{SafetyReason, SafetyState};
 use std::fs;
 use std::mem::MaybeUninit;
@@ -114,6 +115,18 @@ impl Program {
         }
     }
 
+    /// Bytes of the bank in force.
+    fn bank(&self) -> Vec<u8> {
+        let (mut bank, mut length) = (vec![0_u8; 4096], 0);
+        // SAFETY: `it` lives; every other pointer is to a variable.
+        let saved = unsafe {
+            foretorque_save_bank(self.it, bank.as_mut_ptr(), bank.len(), &raw mut length)
+        };
+        assert_eq!(saved, ForetorqueStatus::Ok);
+        bank.truncate(length);
+        bank
+    }
+
     fn safety(&self) -> ForetorqueSafety {
         self.written(foretorque_safety)
     }
@@ -204,30 +217,55 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
     }
 }
 
+/// A load of the saved bank, its parameters times `factor`.
+#[test]
+fn a_bank_that_no_board_takes_is_refused() {
+    let program = Program::new();
+    let saved = program.bank();
+    for (factor, status) in [(1.1, ForetorqueStatus::Ok), (-3.0, ForetorqueStatus::Bank)] {
+        let mut bank = ParameterBank::empty();
+        bank.decode_into(&saved).expect("a bank");
+        bank.columns.iter_mut().for_each(|it| it.value *= factor);
+        let mut buffer = [0; ParameterBank::MAX_BYTES];
+        let bytes = bank.encode(&mut buffer).expect("it has room");
+        // SAFETY: `it` lives, and the bytes are as many.
+        let loaded = unsafe { foretorque_load_bank(program.it, bytes.as_ptr(), bytes.len()) };
+        assert_eq!(loaded, status, "{factor}");
+    }
+}
+
+#[test]
+fn a_stop_latches_a_fault_and_nothing_else() {
+    use SafetyReason::{Drive, Image, MotorWarm, Restarted, Stopped};
+    for (code, latched) in [
+        (Drive.code(), Drive),
+        (Restarted.code(), Restarted),
+        (1, Stopped),
+        (MotorWarm.code(), Stopped),
+        (Image.code(), Stopped),
+        (99, Stopped),
+    ] {
+        let program = Program::armed();
+        // SAFETY: `it` lives.
+        unsafe { foretorque_stop(program.it, code) };
+        assert_eq!(program.safety().latched, latched.code(), "{code}");
+    }
+}
+
 #[test]
 fn an_emergency_stop_ends_learning_too() {
     for (reason, learns) in [(3, false), (13, true)] {
         let mut program = Program::armed();
-        let bank = |program: &Program| {
-            let (mut bank, mut length) = ([0_u8; 4096], 0);
-            // SAFETY: `it` lives; every other pointer is to a variable.
-            let saved = unsafe {
-                let size = bank.len();
-                foretorque_save_bank(program.it, bank.as_mut_ptr(), size, &raw mut length)
-            };
-            assert_eq!(saved, ForetorqueStatus::Ok);
-            bank
-        };
         // SAFETY: `it` lives.
         unsafe {
             foretorque_set_learning(program.it, 1);
             foretorque_stop(program.it, reason);
         }
-        let before = bank(&program);
+        let before = program.bank();
         let mut changed = false;
         for tick in 0..10_000 {
             program.swing(tick);
-            changed |= tick % 100 == 0 && bank(&program) != before;
+            changed |= tick % 100 == 0 && program.bank() != before;
         }
         assert_eq!(changed, learns, "reason {reason}");
     }

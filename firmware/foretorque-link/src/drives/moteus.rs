@@ -236,8 +236,9 @@ const FAULT: u32 = 0x00f;
 const COMMAND: u32 = 0x020;
 const TORQUE: u32 = 0x022;
 const WATCHDOG: u32 = 0x027;
-/// Register that sets the output position; two bytes as a variable-length integer.
-const SET_OUTPUT: [u8; 2] = [0xb0, 0x02];
+/// Register 0x131, "set output exact"; two bytes as a variable-length integer. Its neighbour 0x130 only chooses the nearest
+/// turn of the motor.
+const SET_OUTPUT: [u8; 2] = [0xb1, 0x02];
 const STOPPED: u8 = 0;
 const FAULTED: u8 = 1;
 const POSITION: u8 = 10;

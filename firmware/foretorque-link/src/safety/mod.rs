@@ -222,11 +222,12 @@ impl<const N: usize> Safety<N> {
             self.check(SafetyReason::TorqueNotFinite);
         }
         let armed = self.brake_released();
+        let closing = !armed && self.braking > 0;
         let enabled = self.enabled();
-        let target = match (armed, self.braking) {
+        let target = match (armed, closing) {
             (true, _) => wanted,
-            (false, 0) => &JointVector::zeros(),
-            (false, _) => &self.gravity,
+            (false, true) => &self.gravity,
+            (false, false) => &JointVector::zeros(),
         };
         let bounds = self
             .limits
@@ -236,7 +237,13 @@ impl<const N: usize> Safety<N> {
             .zip(self.slewed_from.iter());
         let joints = self.output.iter_mut().zip(target.iter()).zip(bounds);
         for (joint, ((output, &target), ((&torque, &slew), &from))) in joints.enumerate() {
-            let (target, _) = cut(target, torque * self.derating.factor(joint));
+            // A hot motor holds the arm until its brake does.
+            let part = if closing {
+                1.0
+            } else {
+                self.derating.factor(joint)
+            };
+            let (target, _) = cut(target, torque * part);
             let (limited, _) = limit(target, from, torque, slew);
             *output = if enabled { limited } else { 0.0 };
         }
@@ -254,7 +261,7 @@ impl<const N: usize> Safety<N> {
 
     /// Runs the feed-forward on an [admitted](Self::admit) sample, or without one, and [releases](Self::release) its torque.
     ///
-    /// Cost: another inverse dynamics with brakes and without a usable sample.
+    /// Cost: another inverse dynamics with brakes, without a usable sample or with a warm motor.
     #[inline(always)]
     pub fn step<A: Arm<N, P>, const P: usize>(
         &mut self,
@@ -269,14 +276,15 @@ impl<const N: usize> Safety<N> {
         if torque.flags.contains(Flags::GRAVITY_LOST) {
             self.check(SafetyReason::GravityLost);
         }
-        let wanted = self.with_brakes::<A, P>(&torque, &feed_forward.state().committed);
+        let wanted = self.with_brakes::<A, P>(&torque, feed_forward.state().committed());
         torque.total = self.release(&wanted);
         feed_forward.applied_within_limits(&torque.total);
         torque
     }
 
     /// The torque that a tick wants, N × N·m, or that of gravity by the `committed` set at the position measured last, where
-    /// brakes have to close before the torque goes to zero.
+    /// brakes have to close before the torque goes to zero. They close, too, where a warm motor may no longer carry
+    /// gravity.
     pub(crate) fn with_brakes<A: Arm<N, P>, const P: usize>(
         &mut self,
         torque: &Torque<N>,
@@ -285,10 +293,17 @@ impl<const N: usize> Safety<N> {
         let withdrawn = torque
             .flags
             .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
-        let ends = withdrawn || self.state == SafetyState::RampDown;
+        let warm = self.derating.warm();
+        let ends = withdrawn || warm || self.state == SafetyState::RampDown;
         let closes = self.limits.brake_ticks > 0 && ends;
         if let Some(q) = self.input.measured.as_ref().filter(|_| closes) {
             self.gravity = gravity::<A, N, P>(committed, q);
+            let mut joints = self.gravity.iter().zip(&self.limits.torque).enumerate();
+            if joints.any(|(joint, (gravity, torque))| {
+                gravity.abs() > torque * self.derating.factor(joint)
+            }) {
+                self.check(SafetyReason::MotorHot);
+            }
             if withdrawn {
                 return self.gravity;
             }

@@ -81,6 +81,22 @@ impl SafetyReason {
         self as u8
     }
 
+    /// The reason latches, until the host clears it.
+    pub const fn latches(self) -> bool {
+        use SafetyReason::*;
+        !matches!(
+            self,
+            None | Disarmed
+                | CommandTimeout
+                | MotorWarm
+                | NoSample
+                | TooFar
+                | StillRamping
+                | MeasurementTimeout
+                | Image
+        )
+    }
+
     /// The reason of a code; [`Restarted`](Self::Restarted) for an unknown code.
     pub fn from_code(code: u8) -> Self {
         let reason = Self::ALL.get(usize::from(code)).copied();

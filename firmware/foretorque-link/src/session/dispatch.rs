@@ -73,8 +73,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         }
         match message {
             HostMessage::Hello => {
-                // A host that begins anew inherits no torque.
+                // A host that begins anew inherits no torque and no motion.
                 controller.safety.disarm();
+                controller.stop_motion();
                 // The next gap counts as a long one.
                 controller.gaps.interrupt();
                 return Ok(Some(self.hello()));
@@ -126,7 +127,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 let state = controller.feed_forward.state();
                 let set = match source {
                     BankSource::Live => &state.active,
-                    BankSource::Committed => &state.committed,
+                    BankSource::Committed => state.committed(),
                     BankSource::Stored => {
                         return self.order(sequence, Order::ReadStored, parameters);
                     }
@@ -176,7 +177,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                         return Err(NackReason::Wait { seconds });
                     }
                 }
-                let committed = &controller.feed_forward.state().committed;
+                let committed = controller.feed_forward.state().committed();
                 parameters.read(sequence, Order::Save, committed)?;
                 // The learner's bounds lie around the loaded set: with a key, around a signed one for ever.
                 if board.write_key.is_some() {

@@ -83,10 +83,16 @@ impl<const N: usize> FeedForwardConfig<N> {
                 ("payload_bound", self.payload_bound[joint]),
                 ("learned_slew_per_tick", self.learned_slew_per_tick[joint]),
             ])?;
+            if limits.torque > LARGEST_TORQUE {
+                return Err(ConfigError::TooLarge("limits.torque"));
+            }
         }
         Ok(())
     }
 }
+
+/// Largest torque limit, N·m: with it the sums of plausible shares are finite.
+const LARGEST_TORQUE: f32 = f32::MAX / 100.0;
 
 /// `period_s`, s, in whole µs, at least 1: a quotient of seconds in f32 may lack its last tick.
 const fn whole_us(period_s: f32) -> u32 {
@@ -206,7 +212,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
             generation: self.state.generation,
             requests: self.state.requests,
             measured,
-            enabled: self.state.learning,
+            enabled: self.state.learning && self.state.off_ticks == 0,
             flags: self.state.last.flags,
         }
     }
@@ -254,7 +260,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         exchange.reload = Some((self.state.generation, set, start));
     }
 
-    /// Replaces the configuration from the next tick on; the state stays.
+    /// Replaces the configuration from the next tick on; the state stays. A torque beyond a lower limit goes there at the
+    /// slew limit.
     ///
     /// Errors: the first field of `config` that cannot work; then nothing has changed.
     pub fn configure(&mut self, config: FeedForwardConfig<N>) -> Result<(), ConfigError> {
@@ -278,8 +285,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         Ok(())
     }
 
-    /// Switches learning on or off (frozen) from the next tick on.
+    /// Switches learning on or off (frozen) from the next tick on. The learner sees an end in one sample at least, also if
+    /// learning is on again before the next tick.
     pub fn set_learning(&mut self, enabled: bool) {
+        if !enabled {
+            // The next tick, and its sample.
+            self.state.off_ticks = 2;
+        }
         self.state.learning = enabled;
     }
 

@@ -14,12 +14,14 @@ use crate::limits::Flags;
 pub struct FeedForwardState<const N: usize, const P: usize> {
     /// The single set nearest to the torque: loaded and learnt parameters by their shares.
     pub active: ParameterSet<N, P>,
-    /// The set that stands in for it: the one that was last loaded or committed.
-    pub committed: ParameterSet<N, P>,
+    /// The fallback; see [`committed`](Self::committed).
+    pub(super) committed: ParameterSet<N, P>,
     /// Counter of the tick to come.
     pub tick: u32,
     /// Learning is switched on.
     pub learning: bool,
+    /// Ticks to end before the learner takes samples again.
+    pub(super) off_ticks: u8,
     /// Number of sets that were missing at the tick of their adoption.
     pub late_sets: u32,
     /// Report of the supervisor that came with the set in force.
@@ -39,8 +41,8 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub(super) sum: JointVector<N>,
     /// There is no last tick with these parameters.
     pub(super) fresh: bool,
-    /// The committed set is another one since the last tick.
-    pub(super) recommitted: bool,
+    /// The active set becomes the committed one at the end of the next tick with a sample, which compares the two.
+    pub(super) committing: bool,
     pub(super) last: Torque<N>,
     pub(super) stale_ticks: u32,
     /// Number of the last load.
@@ -63,6 +65,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             committed: set,
             tick: 0,
             learning: false,
+            off_ticks: 0,
             late_sets: 0,
             report: LearnerReport::new(),
             payload: BaseParameters::zeros(),
@@ -74,7 +77,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             learned: JointVector::zeros(),
             sum: JointVector::zeros(),
             fresh: true,
-            recommitted: false,
+            committing: false,
             last: Torque::zero(),
             stale_ticks: 0,
             generation: 0,
@@ -91,12 +94,12 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.tick = 0;
         self.load(set);
         self.learning = false;
+        self.off_ticks = 0;
         self.late_sets = 0;
         self.report = LearnerReport::new();
         self.payload_torque = JointVector::zeros();
         self.learned = JointVector::zeros();
         self.sum = JointVector::zeros();
-        self.recommitted = false;
         self.last = Torque::zero();
         self.stale_ticks = 0;
         self.adoption = Flags::NONE;
@@ -108,6 +111,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.payload.fill(0.0);
         self.range = LearntRange::none();
         self.fresh = true;
+        self.committing = false;
         self.active = *set;
         self.committed = *set;
         self.active_difference = Difference::none();
@@ -146,7 +150,11 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     pub fn drop_learnt(&self, set: &mut ParameterSet<N, P>) {
         set.rigid = self.loaded.rigid;
         set.friction = self.loaded.friction;
-        let learnt = &self.committed_difference.network;
+        let learnt = if self.committing {
+            &self.active_difference.network
+        } else {
+            &self.committed_difference.network
+        };
         for (network, &learnt) in set.network.iter_mut().zip(learnt) {
             if learnt {
                 *network = network.silenced();
@@ -154,8 +162,18 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         }
     }
 
+    /// The set that stands in for the active one: the one that was last loaded or committed.
+    pub fn committed(&self) -> &ParameterSet<N, P> {
+        if self.committing {
+            &self.active
+        } else {
+            &self.committed
+        }
+    }
+
     /// Make what is active the fallback, and the centre of the bound on learnt change.
     pub(super) fn commit(&mut self) {
+        self.committing = false;
         self.committed = self.active;
         self.committed_difference = self.active_difference;
     }

@@ -73,7 +73,6 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         &state.committed_difference.rigid,
     ];
     rnea_of::<A, N, P, 2>(learnt, &pose.angles, &motion.bounded, &mut scratch.learnt);
-    let recommitted = core::mem::take(&mut state.recommitted);
     let fresh = core::mem::take(&mut state.fresh);
     let mut ignored = Flags::NONE;
     for joint in 0..N {
@@ -112,20 +111,24 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         }
         state.payload_torque[joint] = carried;
         let wanted = selected.learned + carried;
-        let before = match (fresh, recommitted) {
-            (true, _) => wanted,
-            // Measured from another set now: the torque goes on from where it was.
-            (false, true) => state.sum[joint] - selected.reference,
-            (false, false) => state.learned[joint],
-        };
+        let before = if fresh { wanted } else { state.learned[joint] };
         let (step, slewed) = cut(wanted - before, config.learned_slew_per_tick[joint]);
         let learned = if slewed { before + step } else { wanted };
-        state.learned[joint] = learned;
-        state.sum[joint] = selected.reference + learned;
+        let sum = selected.reference + learned;
+        state.sum[joint] = sum;
+        // Of one motion: the next tick measures it from the active set, and the torque goes on from where it is.
+        state.learned[joint] = if state.committing {
+            sum - selected.sum
+        } else {
+            learned
+        };
         let shares = &mut state.last.shares;
         shares.rigid[joint] = selected.shares.rigid + carried;
         shares.friction[joint] = selected.shares.friction;
         shares.network[joint] = selected.shares.network;
+    }
+    if state.committing {
+        state.commit();
     }
     state.stale_ticks = 0;
     flags |= output(config, &mut state.last, &state.sum);
@@ -146,9 +149,9 @@ pub fn pause<'a, const N: usize, const P: usize>(
     config: &FeedForwardConfig<N>,
     state: &'a mut FeedForwardState<N, P>,
 ) -> &'a Torque<N> {
-    let (tick, adoption) = (state.tick, state.adoption);
+    let kept = (state.tick, state.adoption, state.off_ticks);
     hold(config, state, Flags::NO_MEASUREMENT);
-    (state.tick, state.adoption) = (tick, adoption);
+    (state.tick, state.adoption, state.off_ticks) = kept;
     &state.last
 }
 
@@ -199,6 +202,7 @@ fn finish<const N: usize, const P: usize>(
     state.last.flags = flags | state.adoption | Flags::when(state.learning, Flags::LEARNING_ON);
     state.last.tick = state.tick;
     state.adoption = Flags::NONE;
+    state.off_ticks = state.off_ticks.saturating_sub(1);
     state.tick = LearningSample::<N>::tick_after(state.tick);
     &state.last
 }
@@ -225,11 +229,13 @@ pub fn adopt<const N: usize, const P: usize>(
     match &exchange.published {
         // Equal, not later: ticks half the range of their counter apart have no order.
         Some(finished) if finished.generation == state.generation => {
-            state.set_active(&finished.set, &finished.share);
-            if finished.commit {
+            if state.committing {
+                // A round without a usable sample: nothing goes on from the tick before it.
                 state.commit();
-                state.recommitted = true;
+                state.fresh = true;
             }
+            state.set_active(&finished.set, &finished.share);
+            state.committing = finished.commit;
             state.payload = finished.payload;
             state.range.set(&finished.range);
             state.report = finished.report;

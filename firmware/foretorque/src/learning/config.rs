@@ -120,6 +120,9 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("network.clip_sigmas", self.network.clip_sigmas),
             ("network.memory_rows", self.network.memory_rows),
         ])?;
+        if self.decimation as usize > N {
+            return Err(ConfigError::TooLarge("decimation"));
+        }
         let [friction, rigid] = self.sigma.parts();
         for &sigma in rigid {
             check_positive(&[("sigma.rigid", sigma)])?;

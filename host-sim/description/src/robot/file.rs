@@ -307,8 +307,11 @@ impl Check<'_> {
     }
 
     fn finite(&self, field: &str, values: &[f64]) -> Result<(), Refusal> {
-        let finite = values.iter().all(|value| value.is_finite());
-        self.that(finite, field, "is not a finite number")
+        self.that(
+            values.iter().all(|&value| fits_board(value)),
+            field,
+            NO_NUMBER,
+        )
     }
 
     /// A finite value is `positive`, or at least not negative.
@@ -317,7 +320,14 @@ impl Check<'_> {
             true => (value > 0.0, "must be positive"),
             false => (value >= 0.0, "must not be negative"),
         };
-        let problem = format!("is {value}, {bound}");
-        self.that(value.is_finite() && fits, field, &problem)
+        self.that(fits, field, &format!("is {value}, {bound}"))?;
+        self.finite(field, &[value])
     }
+}
+
+const NO_NUMBER: &str = "is not a finite number of 32 bits";
+
+/// The board's numbers have 32 bits, and the sum of some torques must fit, too.
+pub(crate) fn fits_board(value: f64) -> bool {
+    value.abs() < f64::from(f32::MAX / 1e3)
 }

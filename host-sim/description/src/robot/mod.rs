@@ -11,6 +11,7 @@ mod log_columns;
 mod overlay;
 
 pub use body::{Coupling, Perturbation};
+pub(crate) use file::fits_board;
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 

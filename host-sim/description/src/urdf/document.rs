@@ -1,6 +1,6 @@
 //! The elements of a URDF or MJCF that matter to dynamics, as they are written.
 
-use crate::robot::{Link, Placement};
+use crate::robot::{Link, Placement, fits_board};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::Node;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -298,7 +298,10 @@ pub(super) fn required<'a>(node: Node<'a, '_>, name: &str) -> Result<&'a str, St
 
 pub(super) fn number(node: Node<'_, '_>, name: &str) -> Result<f64, String> {
     let text = required(node, name)?;
-    parse_number(text).ok_or_else(|| not(node, name, text, "a number"))
+    parse_number(text).ok_or_else(|| match text.trim().parse::<f64>() {
+        Ok(value) if value.is_finite() => not(node, name, text, "a number of 32 bits"),
+        _ => not(node, name, text, "a number"),
+    })
 }
 
 /// The problem of an attribute that is not `what`.
@@ -331,5 +334,5 @@ pub(super) fn list(text: &str) -> Option<Vec<f64>> {
 
 pub(super) fn parse_number(text: &str) -> Option<f64> {
     let value = text.trim().parse().ok();
-    value.filter(|value: &f64| value.is_finite())
+    value.filter(|&value| fits_board(value))
 }

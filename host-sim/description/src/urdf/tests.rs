@@ -359,6 +359,7 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
         ; hand ; <mass value="2"/> ; <mass value="0"/> ; link 'upper': mass is 0, must be positive (--repair leaves it out)
         ; hand ; <mass value="2"/> ; ; line 8: <inertial> has no <mass>
         ; hand ; <mass value="2"/> ; <mass value="2 kg"/> ; line 8: <mass> value="2 kg" is not a number
+        ; hand ; <mass value="2"/> ; <mass value="2e38"/> ; line 8: <mass> value="2e38" is not a number of 32 bits
         ; hand ; iyy="0.03" ; ; line 9: <inertia> has no attribute 'iyy'
         ; hand ; iyy="0.03" ; iyy="0.3" ; link 'upper': inertia breaks the triangle inequality: no body has these principal moments (--repair takes the nearest of a body)
         ; hand ; ixx="0.01" ixy="0" ; ixx="0.01" ixy="0.02" ; link 'upper': inertia is not positive definite (--repair takes the nearest of a body)

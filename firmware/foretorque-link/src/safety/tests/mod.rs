@@ -229,6 +229,53 @@ fn the_first_fault_is_the_latched_one_and_what_does_not_flow_needs_no_brake() {
     assert_eq!(disarmed.latched(), SafetyReason::MotorHot);
 }
 
+/// At 95 °C a quarter of the torque limit is left, less than the gravity of the shoulder.
+#[test]
+fn a_brake_closes_before_a_warm_motor_lets_go_and_is_waited_for_at_full_torque() {
+    let set = ParameterSet::nominal::<Ur5>(1);
+    let shoulder = gravity::<Ur5, N, 40>(&set, &torque(0.0))[1].abs();
+    let mut stretched = sample();
+    stretched.desired.q.fill(0.0);
+    measured(&mut stretched).q.fill(0.0);
+    let wanted = foretorque::feedforward::evaluate::<Ur5, N, 40>(&set, &stretched.desired);
+    for (close_us, celsius) in [
+        (0, 95),
+        (0, HOT_C),
+        (100_000, 90),
+        (100_000, 95),
+        (100_000, HOT_C),
+    ] {
+        let mut safety = Safety::new(limits().with_brake(close_us, 1000), NO_FAULT);
+        let tick = |safety: &mut Safety<N>| {
+            safety.period();
+            safety.admit(Some(stretched), 1, NO_FAULT);
+            let wanted = safety.with_brakes::<Ur5, 40>(&wanted, &set);
+            safety.release(&wanted)[1].abs()
+        };
+        (0..3).for_each(|_| _ = tick(&mut safety));
+        safety.arm().unwrap();
+        (0..100).for_each(|_| _ = tick(&mut safety));
+        safety.note_temperature(1, celsius);
+        let mut held = 0;
+        while safety.enabled() && held < 200 && tick(&mut safety) >= 0.999 * shoulder {
+            held += 1;
+        }
+        let brake = close_us > 0;
+        let expected = match celsius {
+            90 => 200,
+            _ if brake => safety.limits().brake_ticks,
+            _ => 0,
+        };
+        assert_eq!(held, expected, "{close_us} {celsius}");
+        let latched = brake && celsius > 90 || celsius == HOT_C;
+        assert_eq!(
+            safety.latched() == SafetyReason::MotorHot,
+            latched,
+            "{close_us} {celsius}"
+        );
+    }
+}
+
 /// The shortest brake closes within one period.
 #[test]
 fn m8_a_torque_that_is_withdrawn_becomes_that_of_gravity_for_every_brake_and_without_one_stays() {

@@ -121,6 +121,7 @@ fn every_reason_of_the_page_ends_the_torque_as_its_row_has_it() {
     for reason in SafetyReason::ALL {
         let row = row(&format!("| {} | `{reason:?}` |", reason.code()));
         let column = row.split('|').nth(4).unwrap().trim();
+        assert_eq!(reason.latches(), column.contains("latch"), "{row}");
         let mut safety = armed();
         match column {
             // No torque yet, or one that goes on.

@@ -90,6 +90,8 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     credit: Option<u8>,
     /// A tick ran in this period.
     ticked: bool,
+    /// The torque flowed after the last tick.
+    flowed: bool,
     pub(super) gaps: SampleGaps,
     last_sequence: u16,
     pub(super) temperatures_c: [i8; N],
@@ -119,6 +121,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             desired: None,
             credit: None,
             ticked: false,
+            flowed: false,
             gaps: SampleGaps::new(),
             last_sequence: 0,
             temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
@@ -195,7 +198,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             let mut wanted = *self.safety.output();
             if !ticked {
                 let torque = self.feed_forward.pause();
-                let committed = &self.feed_forward.state().committed;
+                let committed = self.feed_forward.state().committed();
                 wanted = self.safety.with_brakes::<A, P>(&torque, committed);
             }
             self.safety.release(&wanted);
@@ -255,6 +258,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         {
             sample.measured = None;
         }
+        let flows = self.safety.brake_released();
+        if self.flowed && !flows {
+            self.stop_motion();
+        }
+        self.flowed = flows;
         let excited = self.player.step(sample.as_ref());
         if let (Some(sample), Some(desired)) = (&mut sample, excited) {
             sample.desired = desired;

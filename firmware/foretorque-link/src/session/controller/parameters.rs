@@ -154,9 +154,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     /// Emergency stop of torque and learning: the data that led to it may not be fit to learn from.
     pub(in crate::session) fn stop(&mut self, mailbox: &mut LearnerMailbox<N, P>) {
         self.torque_off(SafetyReason::Stopped);
+        self.stop_motion();
         // It replaces a request that still waits.
         self.feed_forward
             .request_over(Request::Stop, &mut mailbox.exchange);
+    }
+
+    /// Lets a motion that the board plays come to rest on its path.
+    pub(in crate::session) fn stop_motion(&mut self) {
+        // Without one there is nothing to stop.
+        let _ = self.player.command(ExcitationCommand::Stop);
     }
 
     /// Torque zero at once; latches `fault` unless another is latched.

@@ -110,7 +110,7 @@ impl Protocol {
         nonce
     }
 
-    /// Permits one order, if its signature is right. The challenge is used up.
+    /// Permits one order, if its signature is right; an earlier permission ends. The challenge is used up.
     ///
     /// Errors: [`NackReason::Key`].
     #[inline(never)]
@@ -121,8 +121,8 @@ impl Protocol {
         order: [u8; 2],
         mac: &[u8; MAC_BYTES],
     ) -> Result<(), NackReason> {
-        let nonce = self.challenge.take().ok_or(NackReason::Key)?;
-        let right = key.permits(mac, &nonce, arm_hash, order);
+        let nonce = self.challenge.take();
+        let right = nonce.is_some_and(|nonce| key.permits(mac, &nonce, arm_hash, order));
         self.permission = right.then_some(order);
         right.then_some(()).ok_or(NackReason::Key)
     }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::excitation::{ExcitationCommand, ExcitationState};
 use crate::safety::SafetyStatus;
 use foretorque::feedforward::{FeedForwardScratch, step};
 
@@ -34,6 +35,66 @@ fn torque_flows_only_between_arming_and_disarming() {
     assert_eq!(after.total, ZERO);
     let disarmed = (SafetyState::Disarmed, SafetyReason::Disarmed);
     assert_eq!(status(&after), disarmed);
+}
+
+/// A board that plays an excitation in which no joint moves, at the position 0; `armed` or not.
+fn playing(armed: bool) -> (Board, HostMessage<N>) {
+    let mut sample = sample(0);
+    sample.desired = JointMotion::zero();
+    sample.measured.as_mut().unwrap().q.fill(0.0);
+    let sample = HostMessage::Sample(SampleFrame::new(&sample));
+    let mut board = Board::new();
+    let program = keys::excitation();
+    assert_eq!(board.upload_excitation(&program, None), ACK);
+    (0..300).for_each(|_| _ = board.send(&sample));
+    if armed {
+        board.acknowledged(HostMessage::Arm);
+    }
+    (0..100).for_each(|_| _ = board.send(&sample));
+    board.request(HostMessage::Excitation(ExcitationCommand::Start));
+    let mut ticks = 0;
+    while board.session.controller.player.state() != ExcitationState::Playing {
+        board.send(&sample);
+        ticks += 1;
+        assert!(ticks < 1000);
+    }
+    assert_eq!(board.session.torque_enabled(), armed);
+    (board, sample)
+}
+
+#[test]
+fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
+    use HostMessage::{Disarm, Hello, Stop};
+    for (armed, end) in [
+        (true, Stop),
+        (true, Disarm),
+        (true, Hello),
+        (false, Stop),
+        (false, Hello),
+    ] {
+        let (mut board, sample) = playing(armed);
+        board.send(&end);
+        (0..2).for_each(|_| _ = board.send(&sample));
+        let state = |board: &Board| board.session.controller.player.state();
+        assert_eq!(state(&board), ExcitationState::Stopping, "{armed} {end:?}");
+        (0..2000).for_each(|_| _ = board.send(&sample));
+        assert_eq!(state(&board), ExcitationState::Holding, "{armed} {end:?}");
+    }
+    // A disarmed board has no torque to end, and a fault of a drive ends that of an armed one.
+    let (mut board, sample) = playing(false);
+    board.acknowledged(Disarm);
+    (0..10).for_each(|_| _ = board.send(&sample));
+    assert_eq!(
+        board.session.controller.player.state(),
+        ExcitationState::Playing
+    );
+    let (mut board, sample) = playing(true);
+    board.session.torque_off(SafetyReason::Drive);
+    (0..2).for_each(|_| _ = board.send(&sample));
+    assert_eq!(
+        board.session.controller.player.state(),
+        ExcitationState::Stopping
+    );
 }
 
 #[test]

@@ -34,7 +34,11 @@ impl Board {
         Some(key(byte).sign_upload(&nonce, Ur5::HASH, upload))
     }
 
-    fn upload_excitation(&mut self, program: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
+    pub(super) fn upload_excitation(
+        &mut self,
+        program: &[u8],
+        mac: Option<Mac>,
+    ) -> BoardMessage<N> {
         self.write(program);
         let (length, crc) = (program.len() as u16, CRC.checksum(program));
         self.request(HostMessage::ExcitationLoad { length, crc, mac })
@@ -93,7 +97,7 @@ fn a_board_without_a_key_needs_no_signature() {
 }
 
 /// An excitation in which no joint moves.
-fn excitation() -> Vec<u8> {
+pub(super) fn excitation() -> Vec<u8> {
     let bounds = MotionBounds {
         position_rad: (-0.5, 0.5),
         velocity_rad_s: 1.0,
@@ -223,7 +227,11 @@ fn a_permission_serves_one_order_once() {
         assert_ne!(board.request(message.clone()), REFUSED);
         assert_eq!(board.request(message.clone()), REFUSED, "used up");
         assert_eq!(board.unlock(3, [order[0], order[1] ^ 2]), ACK);
-        assert_eq!(board.request(message), REFUSED, "another order");
+        assert_eq!(board.request(message.clone()), REFUSED, "another order");
+        assert_eq!(board.unlock(3, order), ACK);
+        let (order, mac) = (order, [0; MAC_BYTES]);
+        assert_eq!(board.request(HostMessage::Unlock { order, mac }), REFUSED);
+        assert_eq!(board.request(message), REFUSED, "no challenge");
         board.acknowledged(HostMessage::Learning { on: false });
     }
 }

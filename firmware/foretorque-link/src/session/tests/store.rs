@@ -238,7 +238,7 @@ fn an_upload_is_in_force_for_tick_fallback_and_learner() {
     assert_eq!(board.upload(&bank, None), ACK);
     let state = *board.session.feed_forward().state();
     assert_ne!(state.active, before);
-    assert_eq!(state.committed, state.active);
+    assert_eq!(*state.committed(), state.active);
     board.sample(0);
     board.learn();
     assert_eq!(board.learner.state().active, state.active);

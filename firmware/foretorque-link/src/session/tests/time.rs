@@ -358,7 +358,7 @@ fn ends(event: &str, close_ms: u16, (kept, zero): (u32, u32)) {
         board.acknowledged(HostMessage::Arm);
         (0..60).for_each(|_| _ = board.period(Some(still)));
         assert!(board.session.brake_released());
-        let committed = board.session.feed_forward().state().committed;
+        let committed = *board.session.feed_forward().state().committed();
         let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &q);
         let full = *board.session.torque_output();
         let silent = ["silence", "time-out"].contains(&event);

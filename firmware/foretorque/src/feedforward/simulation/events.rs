@@ -376,7 +376,7 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
     );
     let share = board.learner.state().share().joint;
     assert!(share.iter().all(|share| *share > 0.9), "{share:?}");
-    let committed = board.feedforward.state().committed;
+    let committed = *board.feedforward.state().committed();
     assert_ne!(
         committed.rigid, prior.rigid,
         "what is followed is committed"

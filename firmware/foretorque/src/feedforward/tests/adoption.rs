@@ -59,7 +59,7 @@ fn a_loaded_set_counts_at_once_and_drops_what_was_on_its_way() {
     loaded.friction[1][FrictionColumn::Coulomb] = 4.0;
     tick.load(loaded, &mut exchange);
     let state = tick.state();
-    assert_eq!((state.active, state.committed), (loaded, loaded));
+    assert_eq!((state.active, *state.committed()), (loaded, loaded));
     assert_eq!(exchange.reload, Some((1, loaded, StartDeviations::PRIOR)));
     // The learner was still busy with a learning sample from before the load.
     exchange.published = Some(finished(5, set()));
@@ -82,6 +82,62 @@ fn a_request_waits_for_the_one_before_and_a_stop_replaces_it() {
     assert_eq!(exchange.request, Some((2, Request::Stop)));
 }
 
+/// The motion steps as the commit comes, or after ticks without a sample.
+#[test]
+fn a_commit_brings_nothing_of_the_motion_before_it() {
+    let from = motion(0.0);
+    for (stale, acceleration) in [(0, 0.0), (0, 20.0), (3, 0.0), (30, 0.0)] {
+        let mut tick = tick(set());
+        settled(&mut tick, &from);
+        let mut exchange = Exchange::new();
+        let mut adopt = |tick: &mut Tick, commit| {
+            exchange.published = Some(finished(tick.state.tick, set()));
+            exchange
+                .published
+                .iter_mut()
+                .for_each(|it| it.commit = commit);
+            tick.adopt(&mut exchange);
+            exchange.published.is_none()
+        };
+        while !adopt(&mut tick, true) {
+            tick.step(&sample(from));
+        }
+        for _ in 0..stale {
+            tick.step_stale();
+            adopt(&mut tick, false);
+        }
+        let mut to = from;
+        to.q[1] = -3.1;
+        to.qdd.fill(acceleration);
+        for _ in 0..3 {
+            tick.step(&sample(to));
+            assert!(tick.learnt_torque().amax() < 1e-3, "{stale} {acceleration}");
+        }
+        let torque = settled(&mut tick, &to);
+        assert_eq!(torque.total, evaluate::<Ur5, N, P>(&set(), &to).total);
+    }
+}
+
+#[test]
+fn the_learner_sees_an_end_of_learning_that_no_tick_saw() {
+    let mut tick = tick(set());
+    let enabled = |tick: &mut Tick| {
+        tick.step(&sample(motion(0.0)));
+        tick.learning_sample(None).enabled
+    };
+    tick.set_learning(true);
+    assert!(enabled(&mut tick));
+    for pauses in [0, 1, 5] {
+        tick.set_learning(false);
+        tick.set_learning(true);
+        (0..pauses).for_each(|_| _ = tick.pause());
+        let seen: [bool; 3] = core::array::from_fn(|_| enabled(&mut tick));
+        assert_eq!(seen, [false, true, true], "{pauses}");
+    }
+    tick.set_learning(false);
+    assert!(!enabled(&mut tick) && !enabled(&mut tick) && !enabled(&mut tick));
+}
+
 #[test]
 fn what_was_learnt_is_dropped_and_what_was_loaded_stays() {
     let mut loaded = set();
@@ -94,7 +150,7 @@ fn what_was_learnt_is_dropped_and_what_was_loaded_stays() {
     learnt.network[1].output_bias[0] = 0.02;
     tick.state.set_active(&learnt, &LearntShare::FULL);
     tick.state.commit();
-    let mut saved = tick.state().committed;
+    let mut saved = *tick.state().committed();
     assert_ne!(saved, loaded);
     tick.state().drop_learnt(&mut saved);
     let mut wanted = loaded;
@@ -225,7 +281,7 @@ fn broken(first: u32, then: u32) -> Vec<&'static str> {
     let kept = bench.carries_out(Request::Snapshot, Reason::SnapshotTaken, first, then);
     bench.learner.set_active(&moved(2.0));
     let commits = bench.carries_out(Request::Commit, Reason::Committed, first, then);
-    let committed = bench.tick.state().committed;
+    let committed = *bench.tick.state().committed();
     let rolls_back = bench.carries_out(Request::Rollback, Reason::RolledBack, first, then);
     let promises = [
         (reload_waits, "a lesson from before the load takes the set"),

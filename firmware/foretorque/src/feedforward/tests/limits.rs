@@ -195,7 +195,7 @@ fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_th
         let mut tick = tick(set());
         let mut exchange = Exchange::new();
         let (mut largest, mut steps) = (0.0f32, 0);
-        let mut before: Option<(JointVector<N>, JointVector<N>)> = None;
+        let mut learned: Option<JointVector<N>> = None;
         for now in 0..600 {
             // A round closes three ticks before its set is taken; some rounds bring nothing new.
             if now >= 60 && now % 6 == 0 && random() > 0.3 {
@@ -216,35 +216,30 @@ fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_th
                 }
                 exchange.published = Some(publication);
             }
-            let committed = tick.state().committed;
+            let committed = *tick.state().committed();
             tick.adopt(&mut exchange);
-            let recommitted = tick.state().committed != committed;
+            let commits = *tick.state().committed() != committed;
             let desired = at(now);
             let torque = tick.step(&sample(desired));
             if now < 50 {
                 continue;
             }
             assert!(!torque.flags.contains(Flags::SATURATED), "seed {seed}");
-            // Measured from the committed set, whose own torque follows the motion.
-            let reference = evaluate::<Ur5, N, P>(&tick.state().committed, &desired).total;
-            if let Some((total, learned)) = before {
-                let before = if recommitted {
-                    total
-                } else {
-                    reference + learned
-                };
-                let change = torque.total - before;
+            // Measured from a committed set, whose own torque follows the motion.
+            let from = |set| torque.total - evaluate::<Ur5, N, P>(set, &desired).total;
+            if let Some(learned) = learned {
+                let change = from(&committed) - learned;
                 for j in 0..N {
                     let part = change[j].abs() / Ur5::LIMITS[j].torque;
                     largest = largest.max(part);
                     steps += u32::from(part > 0.0099);
                     assert!(
                         part < 0.0101,
-                        "seed {seed}, tick {now}, joint {j}: {part}, commit: {recommitted}"
+                        "seed {seed}, tick {now}, joint {j}: {part}, commit: {commits}"
                     );
                 }
             }
-            before = Some((torque.total, torque.total - reference));
+            learned = Some(from(tick.state().committed()));
         }
         assert!(steps > 20, "the bound was hardly touched: {largest}");
     }

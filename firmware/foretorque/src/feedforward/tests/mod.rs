@@ -85,6 +85,12 @@ fn a_configuration_that_cannot_work_is_refused() {
     let refused = |field| Err(ConfigError::NotPositive(field));
     assert_eq!(slew.validate(), refused("slew_per_tick"));
     assert_eq!(range.validate(), refused("limits.position"));
+    let mut torque = good;
+    torque.limits[2].torque = f32::MAX;
+    assert_eq!(
+        torque.validate(),
+        Err(ConfigError::TooLarge("limits.torque"))
+    );
 }
 
 #[test]

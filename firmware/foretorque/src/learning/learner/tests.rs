@@ -297,6 +297,12 @@ fn an_invalid_configuration_is_refused() {
     assert_eq!(sigma.validate(), not_positive);
     let out_of_range = Err(ConfigError::RateOutOfRange("network.hidden_rate"));
     assert_eq!(rate.validate(), out_of_range);
+    let mut decimation = good;
+    decimation.decimation = N as u32 + 1;
+    assert_eq!(
+        decimation.validate(),
+        Err(ConfigError::TooLarge("decimation"))
+    );
     let no_period = LearnerConfig::<N, P>::for_arm::<Ur5>(0.0);
     assert!(no_period.validate().is_err());
 }
