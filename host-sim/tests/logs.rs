@@ -177,7 +177,22 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             rows[1500..].iter_mut().for_each(|row| row[column] = value);
         })
     };
-    let cases: [(Change, &str); 26] = [
+    let absolute = |joints: Range<usize>| {
+        each(move |row| {
+            row[joints.clone()]
+                .iter_mut()
+                .for_each(|tau| *tau = tau.abs())
+        })
+    };
+    let cases: [(Change, &str); 28] = [
+        (
+            absolute(TAU..TAU + 6),
+            "torque of joint 1, 4, 5, 6 is never negative",
+        ),
+        (
+            absolute(TAU + 4..TAU + 5),
+            "torque of joint 5 is never negative: is it an absolute value?",
+        ),
         (
             scale(Q..Q + 18, 57.295_779_513),
             "are these degrees (--units q=deg, for all logs), does it jump there, or are the limits",
@@ -262,6 +277,15 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         write(here.join("bad.csv"), planted(&good, change.as_ref()));
         judged(words);
     }
+    // Nothing but the torques tells the rate of this clock.
+    let fast = planted(&good, each(|row| row[0] *= 0.5).as_ref());
+    let bare = |line: &str| -> String {
+        let fields: Vec<&str> = line.split(',').collect();
+        [&fields[..Q + 6], &fields[TAU..]].concat().join(",")
+    };
+    let bare: Vec<String> = fast.lines().map(bare).collect();
+    write(here.join("bad.csv"), bare.join("\n"));
+    judged("times: doubled they follow the description");
     let turned = planted(&good, scale(TAU..TAU + 6, -1.0).as_ref());
     write(here.join("turned.csv"), turned);
     let step = std::f64::consts::TAU / 4096.0;

@@ -1,6 +1,6 @@
 //! Torques of a log against those of the description: signs, sizes, noise.
 
-use super::explained::{Explained, explain, links, other_reading, weight};
+use super::explained::{Explained, SIGN_EVIDENCE, explain, links, other_reading, weight};
 use super::ranges::Extremes;
 use super::{DEVIATIONS, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE, SOUND_SIZE};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
@@ -8,12 +8,15 @@ use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;
 
 /// Compares the torques with those of the description.
+///
+/// * `gain` of the filter on the noise      * `fitted` as in [`other_reading`]
 pub(super) fn compare(
     judgement: &mut Judgement,
     robot: &Robot,
     rows: &[(Motion, PerJoint<f64>)],
     extremes: &[Extremes],
     gain: f64,
+    fitted: &dyn Fn(f64) -> f64,
 ) {
     let mut bare = robot.clone();
     for joint in &mut bare.joints {
@@ -44,6 +47,26 @@ pub(super) fn compare(
         .filter(|&joint| own[joint].rest > NOISE_SHARE)
         .collect();
     let heavy: Vec<usize> = (0..joints).filter(|&joint| own[joint].heavy).collect();
+    // A torque that is always positive, although its joint needs both signs: those of its links or of its velocity explain it
+    // far better.
+    let unsigned = (0..joints).filter(|&joint| extremes[joint].unsigned());
+    let unsigned = unsigned.filter(|&joint| {
+        let rest = |sign: &dyn Fn(usize) -> f64| {
+            let tau = |row: usize| rows[row].1[joint].copysign(sign(row));
+            explain(joint, &states, &of_links, limit(joint), tau).rest
+        };
+        let links = rest(&|row| of_links[row][0][joint]);
+        let drive = rest(&|row| states[row].qd[joint]);
+        (own[joint].rest / f64::min(links, drive)).ln() > SIGN_EVIDENCE
+    });
+    let unsigned: Vec<String> = unsigned.map(|joint| (joint + 1).to_string()).collect();
+    if !unsigned.is_empty() {
+        judgement.find(true, format!(
+            "torque of joint {} is never negative: is it an absolute value? Log it with its sign",
+            unsigned.join(", ")
+        ));
+        return;
+    }
     if noise.len() == joints {
         judgement.find(
             true,
@@ -51,7 +74,7 @@ pub(super) fn compare(
         );
         return;
     }
-    if let Some(text) = other_reading(&bare, rows, extremes) {
+    if let Some(text) = other_reading(&bare, rows, extremes, fitted) {
         judgement.find(true, text);
         return;
     }
@@ -229,7 +252,7 @@ mod tests {
                 (state, tau)
             });
             let rows: Vec<_> = rows.collect();
-            compare(&mut judgement, &robot, &rows, &seen, 1.0);
+            compare(&mut judgement, &robot, &rows, &seen, 1.0, &|_| 0.0);
             judgement.findings
         };
         assert_eq!(judged(0.0, 0.0), []);

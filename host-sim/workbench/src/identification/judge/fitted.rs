@@ -44,7 +44,8 @@ pub(in crate::identification) fn after_fit(
 }
 
 /// Joints where the fitted parameters leave half of the power of the torque, and most of what they leave is not noise. The
-/// power of noise alone, which is in torque and error, is taken off both. One joint may have a defect of its own; two refuse.
+/// power of noise alone, which is in torque and error, is taken off both. One joint may have a defect of its own; two refuse,
+/// and so does one whose error is as large as its torque.
 pub fn unexplained(report: &Report) -> Option<Finding> {
     let noise = report.data_check.iter().flat_map(|check| &check.joints);
     let noise = noise.map(|joint| joint.noise_floor_nm);
@@ -57,15 +58,16 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
             let (number, percent) = (joint + 1, 100.0 * error / size);
             let [left, all] = [error, size].map(|rms| rms * rms - noise * noise);
             (left > 0.5 * all && left > noise * noise).then(|| {
-                format!(
-                    "J{number} {percent:.0} %, {:.0} % noise",
-                    100.0 * noise / size
+                let noise = 100.0 * noise / size;
+                (
+                    left >= all,
+                    format!("J{number} {percent:.0} %, {noise:.0} % noise"),
                 )
             })
         });
-    let shares: Vec<String> = shares.collect();
+    let (useless, shares): (Vec<bool>, Vec<String>) = shares.unzip();
     (!shares.is_empty()).then(|| Finding {
-        refuses: shares.len() > 1,
+        refuses: shares.len() > 1 || useless.contains(&true),
         text: format!(
             "no parameters of description '{}' explain the torques (error left: {}): another arm, or joints in another order?",
             report.robot,
@@ -236,6 +238,8 @@ mod tests {
             !one.refuses && one.text.contains("J1 80 %, 10 % noise"),
             "{one:?}"
         );
+        let useless = unexplained(&report([1.0, 0.4, 0.8])).expect("joint 1");
+        assert!(useless.refuses, "{useless:?}");
         let two = unexplained(&report([0.8, 0.75, 0.8])).expect("joints 1 and 2");
         assert!(two.refuses && two.text.contains("another arm"), "{two:?}");
         // Most of what is left of joint 3 is noise, or is not.

@@ -14,14 +14,17 @@ pub(super) use fitted::{after_fit, change, description};
 
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Thinned;
+use super::methods::wls;
 use super::normal::NormalEquations;
 use super::prepare::{PrepareConfig, other_unit_of_time};
 use super::stream::for_each_prepared;
 use super::{IdentifyError, listed};
-use crate::dynamics::PerJoint;
-use crate::robot::Robot;
+use crate::dynamics::{Motion, PerJoint};
+use crate::robot::{LINK_PARAMETERS, Robot};
 use compare::compare;
 use delay::{Delay, delay};
+use explained::at_rate;
+use nalgebra::DMatrix;
 use ranges::{Extremes, scan, units};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -106,6 +109,35 @@ impl Judgement {
     }
 }
 
+/// Fall of the logarithm of the power that the best parameters leave, summed over the joints, by a clock of `rate` times the
+/// rate; 0 where the motion does not show all parameters.
+fn fall_at_rate(
+    layout: &Layout,
+    rows: &[(Motion, PerJoint<f64>)],
+    still_rad_s: f64,
+    rate: f64,
+) -> f64 {
+    let left = |rate: f64| {
+        let joints = layout.joints();
+        let mut sums = NormalEquations::new(layout);
+        let mut scratch = DMatrix::zeros(joints, (LINK_PARAMETERS + 1) * joints);
+        let mut panel = Vec::new();
+        for (state, tau) in rows {
+            panel.clear();
+            layout.append_row(&at_rate(state, rate), 0.0, &mut scratch, &mut panel);
+            for (joint, sums) in sums.joints.iter_mut().enumerate() {
+                if state.qd[joint].abs() > still_rad_s {
+                    sums.add(layout.columns(joint, &panel), &[tau[joint]]);
+                }
+            }
+        }
+        let fit = wls(&sums, layout).ok()?;
+        Some(fit.sigma.iter().map(|sigma| 2.0 * sigma.ln()).sum::<f64>())
+    };
+    let fall = left(1.0).zip(left(rate)).map(|(own, other)| own - other);
+    fall.filter(|fall| fall.is_finite()).unwrap_or(0.0)
+}
+
 /// Judges logs before anything is identified.
 ///
 /// Errors: [`IdentifyError`] of a log that cannot be read.
@@ -180,7 +212,15 @@ pub fn judge(
             judgement.condition_number_equilibrated = Some(sums.condition_numbers(&layout).1);
         }
     }
-    compare(&mut judgement, robot, &sample.kept, &extremes, gain);
+    let fitted = |rate| fall_at_rate(&layout, &sample.kept, config.still_rad_s, rate);
+    compare(
+        &mut judgement,
+        robot,
+        &sample.kept,
+        &extremes,
+        gain,
+        &fitted,
+    );
     if !judgement.refuses() {
         delay(&mut judgement, &layout, &delays, period_s);
     }

@@ -146,6 +146,12 @@ impl Extremes {
         (product > 0.0 && self.moved()).then(|| (product / logged, change / product))
     }
 
+    /// No torque is below zero while the joint moves, and the torque changes.
+    pub(super) fn unsigned(&self) -> bool {
+        let [_, [(least, _), _]] = self.tops.map(|top| top.0);
+        self.moved() && -least >= 0.0 && self.constant().is_none()
+    }
+
     /// Torque that never changes while the joint moves, N·m.
     pub(super) fn constant(&self) -> Option<f64> {
         let [(most, rows), _] = self.tops[0].0;
