@@ -290,12 +290,13 @@ impl<const N: usize> Safety<N> {
         torque: &Torque<N>,
         committed: &ParameterSet<N, P>,
     ) -> JointVector<N> {
+        if self.limits.brake_ticks == 0 {
+            return torque.total;
+        }
         let withdrawn = torque
             .flags
             .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
-        let warm = self.derating.warm();
-        let ends = withdrawn || warm || self.state == SafetyState::RampDown;
-        let closes = self.limits.brake_ticks > 0 && ends;
+        let closes = withdrawn || self.state == SafetyState::RampDown || self.derating.warm();
         if let Some(q) = self.input.measured.as_ref().filter(|_| closes) {
             self.gravity = gravity::<A, N, P>(committed, q);
             let mut joints = self.gravity.iter().zip(&self.limits.torque).enumerate();

@@ -137,8 +137,6 @@ pub(super) struct JointShares {
 pub(super) struct Selected {
     /// The active set's shares, each replaced by the committed set's where it was not sound.
     pub(super) shares: JointShares,
-    /// Their sum.
-    pub(super) sum: f32,
     /// Sum of the committed set's shares.
     pub(super) reference: f32,
     /// Learnt part, within its bound.
@@ -212,7 +210,6 @@ pub(super) fn select(
     *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);
     Selected {
         shares,
-        sum,
         reference,
         learned,
     }

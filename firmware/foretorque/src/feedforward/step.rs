@@ -114,20 +114,17 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         let before = if fresh { wanted } else { state.learned[joint] };
         let (step, slewed) = cut(wanted - before, config.learned_slew_per_tick[joint]);
         let learned = if slewed { before + step } else { wanted };
-        let sum = selected.reference + learned;
-        state.sum[joint] = sum;
-        // Of one motion: the next tick measures it from the active set, and the torque goes on from where it is.
-        state.learned[joint] = if state.committing {
-            sum - selected.sum
-        } else {
-            learned
-        };
+        state.learned[joint] = learned;
+        state.sum[joint] = selected.reference + learned;
         let shares = &mut state.last.shares;
         shares.rigid[joint] = selected.shares.rigid + carried;
         shares.friction[joint] = selected.shares.friction;
         shares.network[joint] = selected.shares.network;
     }
     if state.committing {
+        // The next tick measures from the active set, and the torque goes on from where it is: both of one motion.
+        let active = state.last.shares.total() - state.payload_torque;
+        state.learned = state.sum - active;
         state.commit();
     }
     state.stale_ticks = 0;
