@@ -130,11 +130,18 @@ impl DisturbanceArguments {
         })
     }
 
-    /// Events that the options name.
+    /// Events that the options name, in a motion of `duration_s`.
     ///
-    /// Errors: a joint it has not.
-    pub(super) fn events<const N: usize>(&self) -> Result<Events<N>, Failure> {
+    /// Errors: a joint it has not; an event after its end.
+    pub(super) fn events<const N: usize>(&self, duration_s: f64) -> Result<Events<N>, Failure> {
         let mut events = Events::default();
+        let payloads = self.payload.iter().map(|it| ("--payload", it.time_s.start));
+        let pushes = self.push.iter().map(|it| ("--push", it.time_s.start));
+        if let Some((option, from_s)) = payloads.chain(pushes).find(|it| it.1 >= duration_s) {
+            return Err(unusable(format!(
+                "{option}: it begins at {from_s} s, the motion ends at {duration_s:.3} s"
+            )));
+        }
         for During { what, time_s } in &self.payload {
             let payload = Payload::cube(*what, self.payload_com, time_s.start, time_s.end);
             events.payloads.push(payload);

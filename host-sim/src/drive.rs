@@ -199,7 +199,11 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let config = plant_config(arguments.disturbances.plant_config()?);
         let plant = Plant::<N>::new(&truth, config, arguments.seed);
         let plant = plant.ok_or_else(|| unsupported(N))?;
-        let mut plant = plant.with_events(arguments.disturbances.events::<N>()?);
+        let mut plant = plant.with_events(
+            arguments
+                .disturbances
+                .events::<N>(self.ticks as f64 / self.profile.rate_hz)?,
+        );
         plant.place(&self.path.at(0.0).q);
         let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);
         let noise = Joints::from_iterator(limits.map(|limit| REPORT_NOISE * limit));

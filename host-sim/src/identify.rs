@@ -120,13 +120,24 @@ fn fold_period_s(arguments: &Arguments, robot: &Robot) -> Result<Option<f64>, Fa
 
 impl Arguments {
     /// Errors: a result that would take the place of a file that is read, or that no earlier run wrote; a training log that is
-    /// given twice.
+    /// given twice, or a copy of another one.
     fn check_files(&self) -> Result<(), Failure> {
         let mut files = HashSet::new();
         for log in &self.logs {
             if fs::canonicalize(log).is_ok_and(|file| !files.insert(file)) {
                 let log = log.display();
                 return Err(unusable(format!("--log {log} is given twice")));
+            }
+        }
+        let size = |file: &Path| fs::metadata(file).map(|file| file.len()).ok();
+        for (place, log) in self.logs.iter().enumerate() {
+            let mut others = self.logs[..place].iter();
+            let same = others.find(|other| {
+                size(log) == size(other) && fs::read(log).ok() == fs::read(other).ok()
+            });
+            if let Some(same) = same.filter(|_| log.is_file()) {
+                let (log, same) = (log.display(), same.display());
+                return Err(unusable(format!("--log {log} is a copy of --log {same}")));
             }
         }
         let Some(out) = self.out.as_ref().filter(|_| !self.data_check) else {

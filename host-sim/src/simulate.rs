@@ -158,7 +158,7 @@ impl MotionArguments {
             robot: robot.clone(),
             plant: Plant::new(&truth, config, self.seed)
                 .ok_or_else(other_size)?
-                .with_events(self.disturbances.events::<N>()?)
+                .with_events(self.disturbances.events::<N>(duration_s)?)
                 .with_faults(self.faults.faults()),
             pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
             trajectory,

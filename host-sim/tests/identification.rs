@@ -129,6 +129,19 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
     let in_urdf = load("out/robot.urdf");
     assert!((in_urdf.joints[1].link.mass - identified.joints[1].link.mass).abs() < 1e-12);
     succeeds(&here, "generate --robot out/robot.toml --out ur5.rs");
+    // Without rotors in the description, those of the first axes are like the others, and no part of a link.
+    log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
+    let bare = "identify --robot ur5 --rotor-inertia 0 --methods irls,consistent";
+    succeeds(&here, &format!("{bare} --log train.csv --out out"));
+    let arm = Robot::load("ur5").expect("built in");
+    for (joint, described) in load("out/robot.toml").joints.iter().zip(&arm.joints) {
+        let [mass, rotor] = [
+            joint.link.mass / described.link.mass,
+            joint.drive.rotor_inertia / described.drive.rotor_inertia,
+        ];
+        assert!((0.7..1.4).contains(&mass), "{mass}");
+        assert!((0.7..1.4).contains(&rotor), "{rotor}");
+    }
 }
 
 #[test]
@@ -138,9 +151,14 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
     let series = include_str!("../paths/ur5-excitation.json");
     let other = series.replacen("\"ur5\"", "\"other\"", 1);
     write(here.join("other.json"), other);
+    write(here.join("copy.csv"), text(here.join("good.csv")));
     for (wrong, expected) in [
         ("--gains standstill", "no motor currents"),
         ("--log ./good.csv", "--log ./good.csv is given twice"),
+        (
+            "--log copy.csv",
+            "--log copy.csv is a copy of --log good.csv",
+        ),
         ("--still-rad-s 50", "no joint moves"),
         ("--filter fourier --period-s 5", "do not repeat every 5 s"),
         ("--truth panda", "an arm with other parameters"),

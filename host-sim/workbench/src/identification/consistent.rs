@@ -15,6 +15,7 @@
 
 use super::columns::FrictionTerm::Board;
 use super::columns::Layout;
+use super::filter::median;
 use super::methods::Fit;
 use super::normal::solve;
 use crate::dynamics::BaseMap;
@@ -55,7 +56,7 @@ const LEAST: f64 = 1e-3;
 pub(super) fn consistent(robot: &Robot, layout: &Layout, free: &Fit) -> Option<ConsistentFit> {
     let (_, information) = solve_damped(&free.covariance, &DVector::zeros(free.theta.len()))?;
     let map = parameter_map(&robot.base_map(), layout);
-    let cone = Cone::around(robot, layout);
+    let cone = Cone::around(&with_likely_rotors(robot, layout, free), layout);
     let distance = |theta: &DVector<f64>| {
         let apart = theta - &free.theta;
         0.5 * apart.dot(&(&information * &apart))
@@ -108,6 +109,28 @@ pub(super) fn consistent(robot: &Robot, layout: &Layout, free: &Fit) -> Option<C
             iterations: free.iterations + steps,
         },
     })
+}
+
+/// The description with a rotor where it gives none: the assumed one, times the median of those found at other joints over
+/// theirs. A joint that has link and rotor in one inertia, as the first, tells none; without a rotor all would be link.
+fn with_likely_rotors(robot: &Robot, layout: &Layout, free: &Fit) -> Robot {
+    let (mut assumed, joints) = robot.with_assumed_rotors();
+    let rotors = LINK_PARAMETERS * layout.joints();
+    let places = robot.base_map().columns.into_iter().enumerate();
+    let mut shares: Vec<f64> = places
+        .filter_map(|(place, column)| {
+            let joint = column.checked_sub(rotors)?;
+            Some(free.theta[place] / assumed.joints[joint].drive.rotor_inertia)
+        })
+        .collect();
+    if shares.is_empty() {
+        return robot.clone();
+    }
+    let share = median(&mut shares).max(0.0);
+    for joint in joints {
+        assumed.joints[joint - 1].drive.rotor_inertia *= share;
+    }
+    assumed
 }
 
 /// [`solve`] with the least damping of the diagonal that the factorisation needs: directions that torque does not observe

@@ -279,6 +279,25 @@ mod tests {
     }
 
     #[test]
+    fn rows_too_far_apart_tell_no_motion() {
+        let robot = Robot::load("ur5").expect("built in");
+        let path = Trajectory::<6>::validation(&robot, 1);
+        let table = |rate: f64| {
+            let times_s = (0..100).map(|k| f64::from(k) * 0.01);
+            let rows = times_s.map(|t_s| (rate * t_s, path.at(t_s)));
+            Trajectory::Sampled(rows.collect()).check(&robot, 1e-3)
+        };
+        table(1.0).expect("inside the limits");
+        let refused = table(1e3).expect_err("times in ms").to_string();
+        assert!(refused.contains("is t_s in ms?"), "{refused}");
+        // From rest to rest in any time.
+        let (from, mut to) = (State::rest(Joints::zeros()), State::rest(Joints::zeros()));
+        to.q[0] = 1.0;
+        let rests = Trajectory::<6>::Sampled(vec![(0.0, from), (60.0, from), (90.0, to)]);
+        rests.check(&robot, 1e-3).expect("slow enough");
+    }
+
+    #[test]
     fn a_motion_beyond_a_limit_is_named_with_joint_and_time() {
         let robot = Robot::load("ur5").expect("built in");
         let still = State::rest(Joints::<6>::zeros());

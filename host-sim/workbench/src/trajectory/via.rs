@@ -265,7 +265,8 @@ pub(super) fn between<const N: usize>(
 ///
 /// `|Δq| ≤ v h` and `|Σ Δq − Σ ½ (qd + qd') h| ≤ Σ a h² / 4 + Σ |Δq| / 4` with the acceleration limit a: so much a trapezoid
 /// errs at most, where the velocity rises and falls at the limit, and a quarter of the way for the noise of a measured log.
-/// Digits of the file and two steps of the encoder come on top.
+/// Digits of the file and two steps of the encoder come on top. Rows so far apart that the joint reaches its speed limit between
+/// them must not swing.
 pub(super) fn agree<const N: usize>(
     robot: &Robot,
     samples: &[(f64, State<N>)],
@@ -284,6 +285,15 @@ pub(super) fn agree<const N: usize>(
             followed += 0.5 * (a.qd[j] + b.qd[j]) * h;
             bound += 0.25 * (limits.acceleration * h * h + step.abs()) + DIGITS * speed * h;
             let place = format!("row {} at {to_s:.3} s, joint {}", row + 2, j + 1);
+            // From rest to the speed limit and back. Over a longer time a cubic is monotone up to a slope of 3 Δq / h.
+            let longest_s = 2.0 * limits.velocity / limits.acceleration;
+            let swing = 3.0 * step.abs() + 0.25 * limits.acceleration * longest_s.powi(2);
+            if h > longest_s && speed * h > swing + rounding {
+                return Err(Refusal(format!(
+                    "{place}: in the {h:.3} s since the row before its velocity makes {:.3} rad, its positions {step:.3} rad: write the rows between, or is t_s in ms?",
+                    speed * h
+                )));
+            }
             if step.abs() > limits.velocity * h + rounding {
                 let limit = limits.velocity;
                 return Err(Refusal(format!(
