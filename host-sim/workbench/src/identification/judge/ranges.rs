@@ -254,16 +254,17 @@ pub(super) fn units(
     currents: bool,
 ) {
     let joints = || robot.joints.iter().zip(extremes).enumerate();
-    let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough));
     let most = |(low, high): (f64, f64)| low.abs().max(high.abs());
     let far = joints().find(|(_, (joint, seen))| {
         let beyond = most(seen.position) > BEYOND * most(joint.limits.position);
         beyond || seen.speed > BEYOND * joint.limits.velocity
     });
     let fits = |joint: &Joint, seen: &Extremes| seen.torque <= 1.1 * most(joint.limits.position);
-    let many = swapped && joints().all(|(_, (joint, seen))| fits(joint, seen));
+    // A torque without noise is smooth, too, but no position.
+    let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough))
+        && joints().all(|(_, (joint, seen))| fits(joint, seen));
     if let Some((number, (joint, seen))) = far {
-        let text = if many {
+        let text = if swapped {
             "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
         } else {
             let (most, (low, high)) = (most(seen.position), joint.limits.position);
