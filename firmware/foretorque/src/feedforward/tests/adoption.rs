@@ -118,6 +118,35 @@ fn a_commit_brings_nothing_of_the_motion_before_it() {
     }
 }
 
+/// The next set comes before a sample.
+#[test]
+fn a_commit_lasts_without_a_sample_after_it() {
+    let mut tick = tick(set());
+    let mut exchange = Exchange::new();
+    let [first, second] = [9.0, 10.0].map(|viscous| {
+        let mut set = set();
+        set.friction[0][FrictionColumn::Viscous] = viscous;
+        set
+    });
+    for (learnt, commit) in [(first, true), (second, false)] {
+        exchange.published = Some(finished(tick.state.tick, learnt));
+        exchange
+            .published
+            .iter_mut()
+            .for_each(|it| it.commit = commit);
+        while exchange.published.is_some() {
+            tick.step_stale();
+            tick.adopt(&mut exchange);
+        }
+        assert_eq!(
+            (tick.state().active, *tick.state().committed()),
+            (learnt, first)
+        );
+    }
+    tick.step(&sample(motion(0.0)));
+    assert_eq!(*tick.state().committed(), first);
+}
+
 #[test]
 fn the_learner_sees_an_end_of_learning_that_no_tick_saw() {
     let mut tick = tick(set());
