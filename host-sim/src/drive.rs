@@ -111,7 +111,7 @@ impl Arguments {
         let simulated = self.bus.is_simulated();
         if !simulated && (self.exact || self.disturbances.any()?) {
             let problem = "the arm on this bus is real: leave out --exact and the disturbances";
-            return Err(unusable(problem.to_owned()));
+            return Err(unusable(problem));
         }
         let drive = Drive::<A, N, P>::new(self, profile, robot)?;
         if !simulated {
@@ -199,11 +199,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let config = plant_config(arguments.disturbances.plant_config()?);
         let plant = Plant::<N>::new(&truth, config, arguments.seed);
         let plant = plant.ok_or_else(|| unsupported(N))?;
-        let mut plant = plant.with_events(
-            arguments
-                .disturbances
-                .events::<N>(self.ticks as f64 / self.profile.rate_hz)?,
-        );
+        let duration_s = self.ticks as f64 / self.profile.rate_hz;
+        let mut plant = plant.with_events(arguments.disturbances.events::<N>(duration_s)?);
         plant.place(&self.path.at(0.0).q);
         let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);
         let noise = Joints::from_iterator(limits.map(|limit| REPORT_NOISE * limit));

@@ -9,7 +9,7 @@ use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
     ColumnSet, Finding, GainRecord, IdentifyConfig, Layout, METHODS, MethodName, Outcome,
-    PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
+    PrepareConfig, bank_of_fit, identify, judge, page, same_content, unexplained, with_gains,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::ratio;
@@ -129,13 +129,9 @@ impl Arguments {
                 return Err(unusable(format!("--log {log} is given twice")));
             }
         }
-        let size = |file: &Path| fs::metadata(file).map(|file| file.len()).ok();
         for (place, log) in self.logs.iter().enumerate() {
             let mut others = self.logs[..place].iter();
-            let same = others.find(|other| {
-                size(log) == size(other) && fs::read(log).ok() == fs::read(other).ok()
-            });
-            if let Some(same) = same.filter(|_| log.is_file()) {
+            if let Some(same) = others.find(|other| same_content(log, other)) {
                 let (log, same) = (log.display(), same.display());
                 return Err(unusable(format!("--log {log} is a copy of --log {same}")));
             }

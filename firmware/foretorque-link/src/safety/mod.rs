@@ -224,10 +224,12 @@ impl<const N: usize> Safety<N> {
         let armed = self.brake_released();
         let closing = !armed && self.braking > 0;
         let enabled = self.enabled();
-        let target = match (armed, closing) {
-            (true, _) => wanted,
-            (false, true) => &self.gravity,
-            (false, false) => &JointVector::zeros(),
+        let target = if armed {
+            wanted
+        } else if closing {
+            &self.gravity
+        } else {
+            &JointVector::zeros()
         };
         let bounds = self
             .limits

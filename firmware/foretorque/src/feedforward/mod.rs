@@ -32,7 +32,7 @@ use core::marker::PhantomData;
 /// How the tick behaves; derived from the arm's limits and the period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardConfig<const N: usize> {
-    /// Limits of the joints; a desired motion outside them is cut to them, a torque too.
+    /// Limits of the joints; a desired motion outside them is cut to them, a torque too. Torques up to 3e36 N·m.
     pub limits: [JointLimits; N],
     /// Largest plausible desired acceleration, rad/s²; beyond it the motion is cut.
     pub acceleration_limit: f32,
@@ -91,7 +91,7 @@ impl<const N: usize> FeedForwardConfig<N> {
     }
 }
 
-/// Largest torque limit, N·m: with it the sums of plausible shares are finite.
+/// Largest torque limit, N·m: up to it the sums of plausible shares are finite.
 const LARGEST_TORQUE: f32 = f32::MAX / 100.0;
 
 /// `period_s`, s, in whole µs, at least 1: a quotient of seconds in f32 may lack its last tick.
@@ -289,7 +289,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     /// learning is on again before the next tick.
     pub fn set_learning(&mut self, enabled: bool) {
         if !enabled {
-            // The next tick, and its sample.
+            // The end of the next tick takes one; its sample comes after that and sees the other.
             self.state.off_ticks = 2;
         }
         self.state.learning = enabled;

@@ -39,7 +39,7 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     /// Learnt part in the torque of the last tick, payload included, and the sum it was part of.
     pub(super) learned: JointVector<N>,
     pub(super) sum: JointVector<N>,
-    /// There is no last tick with these parameters.
+    /// The learnt part of the last tick does not count in the next: of other parameters, or too old.
     pub(super) fresh: bool,
     /// The active set becomes the committed one at the end of the next tick with a sample, which compares the two.
     pub(super) committing: bool,
@@ -150,11 +150,8 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     pub fn drop_learnt(&self, set: &mut ParameterSet<N, P>) {
         set.rigid = self.loaded.rigid;
         set.friction = self.loaded.friction;
-        let learnt = if self.committing {
-            &self.active_difference.network
-        } else {
-            &self.committed_difference.network
-        };
+        let (_, difference) = self.fallback();
+        let learnt = &difference.network;
         for (network, &learnt) in set.network.iter_mut().zip(learnt) {
             if learnt {
                 *network = network.silenced();
@@ -164,10 +161,15 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 
     /// The set that stands in for the active one: the one that was last loaded or committed.
     pub fn committed(&self) -> &ParameterSet<N, P> {
+        self.fallback().0
+    }
+
+    /// The committed set and its difference from the loaded one, also while the active set waits to become it.
+    fn fallback(&self) -> (&ParameterSet<N, P>, &Difference<N, P>) {
         if self.committing {
-            &self.active
+            (&self.active, &self.active_difference)
         } else {
-            &self.committed
+            (&self.committed, &self.committed_difference)
         }
     }
 

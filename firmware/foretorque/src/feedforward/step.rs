@@ -44,7 +44,8 @@ impl<const N: usize> Default for FeedForwardScratch<N> {
 /// committed set's if not, and none if that is bad too. What was learnt since the set was loaded is evaluated for the
 /// motion it was learnt on: beyond, it stays what it was at the edge. The sum may differ from the committed set's by
 /// `LEARNED_BOUND`, the payload by a bound of its own comes on top, and both together change by no more than
-/// `learned_slew_per_tick`, whatever is adopted and whatever the motion. The rest is saturation and slew.
+/// `learned_slew_per_tick`, whatever is adopted and whatever the motion. After a commit the torque goes over to the new set by
+/// these steps. The rest is saturation and slew.
 ///
 /// * returns N × N·m; finite for any bits in `sample` and in the parameter sets
 ///

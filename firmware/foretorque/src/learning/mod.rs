@@ -107,7 +107,7 @@ pub enum ConfigError {
     NotPositive(&'static str),
     /// The field lies outside `0..1`.
     RateOutOfRange(&'static str),
-    /// The field is larger than its documentation allows.
+    /// The field is beyond the bound in its documentation.
     TooLarge(&'static str),
 }
 
@@ -116,7 +116,7 @@ impl core::fmt::Display for ConfigError {
         match self {
             Self::NotPositive(field) => write!(f, "{field} must be positive and finite"),
             Self::RateOutOfRange(field) => write!(f, "{field} must lie between 0 and 1"),
-            Self::TooLarge(field) => write!(f, "{field} is too large"),
+            Self::TooLarge(field) => write!(f, "{field} is beyond the bound in its documentation"),
         }
     }
 }

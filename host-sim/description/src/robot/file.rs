@@ -310,7 +310,7 @@ impl Check<'_> {
         self.that(
             values.iter().all(|&value| fits_board(value)),
             field,
-            NO_NUMBER,
+            "is not a finite number of 32 bits",
         )
     }
 
@@ -324,8 +324,6 @@ impl Check<'_> {
         self.finite(field, &[value])
     }
 }
-
-const NO_NUMBER: &str = "is not a finite number of 32 bits";
 
 /// The board's numbers have 32 bits, and the sum of some torques must fit, too.
 pub(crate) fn fits_board(value: f64) -> bool {

@@ -278,7 +278,7 @@ fn over(own: &[Option<f64>], other: &[Option<f64>], size: &[Option<f64>]) -> f64
 }
 
 /// Two files with the same bytes.
-fn same_content(one: &Path, other: &Path) -> bool {
+pub fn same_content(one: &Path, other: &Path) -> bool {
     let length = |path: &Path| std::fs::metadata(path).map(|file| file.len()).ok();
     let bytes = |path: &Path| std::fs::read(path).ok();
     length(one) == length(other) && bytes(one).is_some() && bytes(one) == bytes(other)

@@ -32,7 +32,7 @@ pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use dataset::SampleRow;
 pub use filter::{Butterworth, despiked};
 pub use gains::with_gains;
-pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify};
+pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify, same_content};
 pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};

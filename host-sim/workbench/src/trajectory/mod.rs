@@ -37,7 +37,12 @@ pub enum Trajectory<const N: usize> {
 impl<const N: usize> Trajectory<N> {
     /// The unseen path on which torques are judged: 30 s, peak 2.7 rad/s, seeded.
     pub fn validation(robot: &Robot, seed: u64) -> Self {
-        let path = ViaPath::random(robot, seed, VALIDATION_S, VALIDATION_PEAK_RAD_S);
+        Self::unseen(robot, seed, VALIDATION_S)
+    }
+
+    /// A validation path of another length.
+    fn unseen(robot: &Robot, seed: u64, length_s: f64) -> Self {
+        let path = ViaPath::random(robot, seed, length_s, VALIDATION_PEAK_RAD_S);
         Self::Via(path)
     }
 
@@ -176,8 +181,7 @@ impl<const N: usize> Trajectory<N> {
     ) -> Result<Self, Refusal> {
         if name == "validation" {
             let length_s = duration_s.unwrap_or(VALIDATION_S).max(VALIDATION_S);
-            let path = ViaPath::random(robot, seed, length_s, VALIDATION_PEAK_RAD_S);
-            return Ok(Self::Via(path));
+            return Ok(Self::unseen(robot, seed, length_s));
         }
         let path = Path::new(name);
         let trajectory = match path.extension().and_then(|extension| extension.to_str()) {

@@ -148,8 +148,8 @@ impl Extremes {
 
     /// No torque is below zero while the joint moves, and the torque changes.
     pub(super) fn unsigned(&self) -> bool {
-        let [_, [(least, _), _]] = self.tops.map(|top| top.0);
-        self.moved() && -least >= 0.0 && self.constant().is_none()
+        let [_, Top([(below_zero, _), _])] = self.tops;
+        self.moved() && below_zero <= 0.0 && self.constant().is_none()
     }
 
     /// Torque that never changes while the joint moves, N·m.
