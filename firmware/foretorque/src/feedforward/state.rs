@@ -36,9 +36,8 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub(super) loaded: Loaded<N, P>,
     pub(super) active_difference: Difference<N, P>,
     pub(super) committed_difference: Difference<N, P>,
-    /// Learnt part in the torque of the last tick, payload included, and the sum it was part of.
+    /// Learnt part in the torque of the last tick, payload included.
     pub(super) learned: JointVector<N>,
-    pub(super) sum: JointVector<N>,
     /// The learnt part of the last tick does not count in the next: of other parameters, or too old.
     pub(super) fresh: bool,
     /// The active set becomes the committed one at the end of the next tick with a sample, which compares the two.
@@ -75,7 +74,6 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             active_difference: Difference::none(),
             committed_difference: Difference::none(),
             learned: JointVector::zeros(),
-            sum: JointVector::zeros(),
             fresh: true,
             committing: false,
             last: Torque::zero(),
@@ -99,7 +97,6 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.report = LearnerReport::new();
         self.payload_torque = JointVector::zeros();
         self.learned = JointVector::zeros();
-        self.sum = JointVector::zeros();
         self.last = Torque::zero();
         self.stale_ticks = 0;
         self.adoption = Flags::NONE;

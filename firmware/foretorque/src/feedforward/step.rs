@@ -17,6 +17,8 @@ pub struct FeedForwardScratch<const N: usize> {
     wanted: [JointVector<N>; 2],
     /// Torques of what the active and the committed set have learnt, for the motion that was learnt, N × N·m each.
     learnt: [JointVector<N>; 2],
+    /// Torque before saturation and slew, N × N·m.
+    sum: JointVector<N>,
 }
 
 impl<const N: usize> FeedForwardScratch<N> {
@@ -27,6 +29,7 @@ impl<const N: usize> FeedForwardScratch<N> {
             pose: Pose::UPRIGHT,
             wanted: [JointVector::zeros(); 2],
             learnt: [JointVector::zeros(); 2],
+            sum: JointVector::zeros(),
         }
     }
 }
@@ -116,7 +119,7 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         let (step, slewed) = cut(wanted - before, config.learned_slew_per_tick[joint]);
         let learned = if slewed { before + step } else { wanted };
         state.learned[joint] = learned;
-        state.sum[joint] = selected.reference + learned;
+        scratch.sum[joint] = selected.reference + learned;
         let shares = &mut state.last.shares;
         shares.rigid[joint] = selected.shares.rigid + carried;
         shares.friction[joint] = selected.shares.friction;
@@ -125,11 +128,11 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
     if state.committing {
         // The next tick measures from the active set, and the torque goes on from where it is: both of one motion.
         let active = state.last.shares.total() - state.payload_torque;
-        state.learned = state.sum - active;
+        state.learned = scratch.sum - active;
         state.commit();
     }
     state.stale_ticks = 0;
-    flags |= output(config, &mut state.last, &state.sum);
+    flags |= output(config, &mut state.last, &scratch.sum);
     finish(state, flags)
 }
 
