@@ -112,6 +112,11 @@ impl WholeFile {
         let missing = above.take_while(|path| !path.as_os_str().is_empty() && !path.exists());
         let made: Vec<PathBuf> = missing.map(Path::to_owned).collect();
         if let Some(parent) = target.parent().filter(|p| !p.as_os_str().is_empty()) {
+            let file = parent.ancestors().find(|path| path.is_file());
+            if let Some(file) = file {
+                let problem = "is a file, where a directory is needed: choose another path";
+                return Err(at(file, io::Error::other(problem)));
+            }
             fs::create_dir_all(parent).map_err(|error| at(parent, error))?;
         }
         sweep(target);
@@ -262,6 +267,9 @@ mod tests {
         std::os::unix::fs::symlink(&file, &link).expect("links");
         write_whole(&link, b"after").expect("writes");
         assert!(fs::symlink_metadata(&link).expect("is there").is_symlink());
+        let below = WholeFile::create(&file.join("report.json")).err();
+        let below = below.expect("no directory").to_string();
+        assert!(below.contains("file: is a file, where a directory"), "{below}");
         let mode = fs::metadata(&file).expect("is there").permissions().mode();
         assert_eq!(fs::read(&file).expect("reads"), b"after");
         assert_eq!(mode & 0o777, 0o600);

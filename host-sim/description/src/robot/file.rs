@@ -9,6 +9,9 @@ use crate::Refusal;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// Beyond the gravity of every planet, m/s²: more is in another unit.
+const MOST_GRAVITY_M_S2: f64 = 30.0;
+
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RobotFile {
@@ -121,6 +124,9 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
     let form = "must be lower-case letters, digits and underscores, a letter first";
     check.that(Robot::is_name(&raw.name), "name", form)?;
     check.finite("gravity_m_s2", &raw.gravity_m_s2)?;
+    let gravity = Vector3::from(raw.gravity_m_s2);
+    let wrong = format!("is more than any planet's, {MOST_GRAVITY_M_S2} m/s²");
+    check.that(gravity.norm() <= MOST_GRAVITY_M_S2, "gravity_m_s2", &wrong)?;
     let count = raw.joints.len();
     let wrong = format!("{count} joints, must be 1 to {MAX_JOINTS}");
     check.that((1..=MAX_JOINTS).contains(&count), "joints", &wrong)?;
@@ -191,7 +197,7 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
         coupling,
         workspace: raw.workspace,
         name: raw.name,
-        gravity: Vector3::from(raw.gravity_m_s2),
+        gravity,
         joints,
         flange,
         link_names: raw.link_names,

@@ -54,7 +54,8 @@ fn bad_descriptions_are_refused_with_file_and_field() {
         dh = { d_m = 0.089159, a_m = 0.0, alpha_rad = 1.5707963267948966 } | | joints[0].dh: give exactly one of 'dh' and 'frame'
         name = \"ur5\" | name = \"UR 5\" | name: must be lower-case letters, digits and underscores, a letter first
         torque_nm = 150.0 | torque_nm = 0 | joints[0].limits.torque_nm: is 0, must be positive
-        name = \"elbow\" | name = \"shoulder_pan\" | joints[2].name: comes twice";
+        name = \"elbow\" | name = \"shoulder_pan\" | joints[2].name: comes twice
+        gravity_m_s2 = [0.0, 0.0, -9.81] | gravity_m_s2 = [0.0, 0.0, -981.0] | gravity_m_s2: is more than any planet's, 30 m/s²";
     for case in cases.trim().lines() {
         let [good, bad, message] = case.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
             panic!("three columns: {case}");

@@ -197,8 +197,13 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     let tau = guess(&["tau", "torque", "eff", "moment", "_nm"], &asked);
     let all = header[..header.len().min(SHOWN)].join(", ");
     let more = if header.len() > SHOWN { ", …" } else { "" };
+    // Positions and torques need as many.
+    let title = match header.len() < 2 * joints {
+        true => " (a title above the header must begin with #)",
+        false => "",
+    };
     let problem = format!(
-        "no columns for time, positions and torques (t_s, q1_rad…, tau1_nm…) and none of a known source\n  header: {all}{more}\n  write these lines into a file, mend them, and add --columns-from FILE (or {}):\n\
+        "no columns for time, positions and torques (t_s, q1_rad…, tau1_nm…) and none of a known source{title}\n  header: {all}{more}\n  write these lines into a file, mend them, and add --columns-from FILE (or {}):\n\
          {time}\nq_rad = \"{q}\"\ntau_nm = \"{tau}\"",
         LOG_SOURCES.join(", ")
     );
@@ -296,6 +301,11 @@ mod tests {
             ),
             ("none.csv", lines[0].to_owned(), "none.csv: no rows"),
             ("empty.csv", String::new(), "empty.csv: no rows"),
+            (
+                "title.csv",
+                format!("Arm in cell 4\n{own}"),
+                "none of a known source (a title above the header must begin with #)",
+            ),
             (
                 "huge.csv",
                 lines[..9].concat().replace("51.5", "1e300"),

@@ -12,7 +12,7 @@ use std::path::Path;
 const PREVIEW: usize = 4096;
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
-/// Rows with an uneven clock are put on an even grid in the same way, and rows that repeat their values are left out.
+/// Rows with an uneven clock are put on an even grid in the same way, and rows that repeat their positions are left out.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
@@ -65,7 +65,7 @@ impl WholeLog {
         let (clock, period_s) = clock(&first, &steps);
         if held.times > 1 {
             reader.notes.push(format!(
-                "{}: values repeat in {times} rows: the sensors were read at {:.0} Hz, and one row of {times} is kept",
+                "{}: positions repeat in {times} rows: they were read at {:.0} Hz, and one row of {times} is kept",
                 path.display(),
                 1.0 / period_s,
                 times = held.times
@@ -257,7 +257,7 @@ fn resolution(rows: &[LogRow]) -> Vec<f64> {
         .collect()
 }
 
-/// Rows that hold the values of a slower sensor.
+/// Rows that hold the positions of a slower sensor.
 struct Held {
     /// Rows of one reading of the sensor.
     times: usize,
@@ -273,7 +273,7 @@ impl Held {
     const ALIKE: f64 = 0.8;
 
     fn of(rows: &[LogRow]) -> Self {
-        let equal = rows.chunk_by(|a, b| (a.q, a.tau) == (b.q, b.tau));
+        let equal = rows.chunk_by(|a, b| a.q == b.q);
         let mut runs: Vec<usize> = equal.map(<[LogRow]>::len).collect();
         runs.sort_unstable();
         let median = runs.get(runs.len() / 2).copied().unwrap_or(1);
@@ -294,7 +294,7 @@ impl Held {
     /// The row is a reading of its own. Values that stay for two readings are those of a resting arm.
     fn is_new(&mut self, row: &LogRow) -> bool {
         self.count += 1;
-        let same = |last: &LogRow| (last.q, last.tau) == (row.q, row.tau);
+        let same = |last: &LogRow| last.q == row.q;
         let rests = self.times > 1 && self.count >= 2 * self.times;
         let new = self.times == 1 || rests || !self.last.as_ref().is_some_and(same);
         if new {
@@ -315,7 +315,7 @@ pub(super) mod tests {
         )
     }
 
-    /// Rows of a log of one joint that moves on a cubic, at these times, with these stamps.
+    /// Rows of a log of one joint that moves on a cubic, its positions read at these times, its torques at these stamps.
     fn stamped(times_s: &[f64], stamps_s: &[f64]) -> (Vec<LogRow>, WholeLog) {
         written(times_s, stamps_s, Some(0.0))
     }
@@ -333,7 +333,7 @@ pub(super) mod tests {
         for (&t, stamp) in times_s.iter().zip(stamps_s) {
             let (q, qd) = motion(t);
             let qd = error.map(|error| format!("{},", qd + error * (7e4 * t).sin()));
-            text += &format!("{stamp},{q},{}{}\n", qd.unwrap_or_default(), 3.0 * t);
+            text += &format!("{stamp},{q},{}{}\n", qd.unwrap_or_default(), 3.0 * stamp);
         }
         std::fs::write(&path, text).expect("it can be written");
         let mut robot = Robot::load("ur5").expect("built in");
@@ -368,7 +368,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn of_rows_that_repeat_their_values_one_is_kept() {
+    fn of_rows_that_repeat_their_positions_one_is_kept() {
         let stamps: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(k)).collect();
         let kept = |read: &dyn Fn(i32) -> i32| {
             let times: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(read(k))).collect();
@@ -376,11 +376,11 @@ pub(super) mod tests {
             let note = log
                 .notes
                 .iter()
-                .find_map(|note| Some(note.split_once("values repeat in ")?.1.to_owned()));
+                .find_map(|note| Some(note.split_once("positions repeat in ")?.1.to_owned()));
             (rows, log.period_s(), note)
         };
         let (rows, period_s, note) = kept(&|k| k / 4 * 4);
-        let expected = "4 rows: the sensors were read at 100 Hz, and one row of 4 is kept";
+        let expected = "4 rows: they were read at 100 Hz, and one row of 4 is kept";
         assert_eq!(note.as_deref(), Some(expected));
         assert!(
             rows.len() == 100 && (period_s - 0.01).abs() < 1e-9,

@@ -266,7 +266,7 @@ t_s,q1_rad,qd1_rad_s | :1: column qdd1_rad_s2 is missing
 q1_rad,qd1_rad_s,qdd1_rad_s2 0,0,0 | :1: column t_s is missing
 t_s,q1_rad,q1_rad,qd1_rad_s,qdd1_rad_s2 | :1: column q1_rad appears twice
 t_s,q1_rad,q2_rad,qd1_rad_s,qdd1_rad_s2 | :1: column q2_rad is one too many: the robot has 1 joints
-SOUND 0,0,0,0 1,2,3 | :3: 3 fields where the header has 4
+SOUND 0,0,0,0 1,2,3 | :3: 3 fields where the header has 4: delete such rows
 SOUND 0,0,0,0 1,2,x,4 | :3: column qd1_rad_s: \"x\" is not a finite number
 SOUND 0,0,0,NaN | :2: column qdd1_rad_s2: \"NaN\" is not a finite number
 SOUND 0,0,0, | :2: column qdd1_rad_s2: \"\" is not a finite number

@@ -320,7 +320,9 @@ impl Rows {
         };
         if fields != self.header.len() {
             let width = self.header.len();
-            return Err(self.row_error(format!("{fields} fields where the header has {width}")));
+            return Err(self.row_error(format!(
+                "{fields} fields where the header has {width}: delete such rows"
+            )));
         }
         Ok(true)
     }
