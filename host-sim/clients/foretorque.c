@@ -25,6 +25,7 @@ enum { VERSION = 4, MOST_JOINTS = 8, MOST_BYTES = 300, TIMEOUT_MS = 2000, PERIOD
 enum { HELLO = 0, SAMPLE = 1, CONFIGURE = 3, ARM = 10, DISARM = 11 }; /* host to board */
 enum { TORQUE = 1, ACK = 4, NACK = 5 };                               /* board to host */
 enum { DISARMED = 0, ARMED = 1, RAMP_DOWN = 2 };                      /* safety states */
+enum { UNKNOWN = -128 }; /* temperature of a motor without a sensor, degrees C */
 
 struct board {
     int port;
@@ -45,6 +46,7 @@ struct board {
 struct sample {
     double q[MOST_JOINTS], qd[MOST_JOINTS], qdd[MOST_JOINTS];
     double measured_q[MOST_JOINTS], measured_tau[MOST_JOINTS];
+    int8_t celsius[MOST_JOINTS]; /* of the motors, or UNKNOWN */
 };
 
 static void fail(const char *what) {
@@ -200,7 +202,7 @@ static void board_sample(struct board *board, const struct sample *sample, float
     int n = board->joints;
     uint8_t *end = put(message, SAMPLE, 1);
     end = put(end, 1u | (uint32_t)board->period << 3, 1); /* measured; number of the period */
-    end = put(end, 0x80, 1);                              /* no temperature */
+    end = put(end, (uint8_t)sample->celsius[board->period % n], 1); /* one motor's in turn */
     board->period = (uint8_t)((board->period + 1) % 32);
     end = put_scaled(end, sample->q, n, 3, 20);
     end = put_scaled(end, sample->qd, n, 3, 18);
@@ -219,12 +221,14 @@ static void board_sample(struct board *board, const struct sample *sample, float
     }
 }
 
-/* Simulated drives that follow at once. Yours send q, qd and the torque to the bus, and read q and torque from it. */
+/* Simulated drives that follow at once. Yours send q, qd and the torque to the bus; they read q,
+   torque and temperature from it. */
 static double drive_q[MOST_JOINTS], drive_tau[MOST_JOINTS];
 
 static void drives_read(struct sample *sample) {
     memcpy(sample->measured_q, drive_q, sizeof drive_q);
     memcpy(sample->measured_tau, drive_tau, sizeof drive_tau);
+    memset(sample->celsius, 25, sizeof sample->celsius);
 }
 
 static void drives_command(const struct sample *desired, const float *torque, int joints) {

@@ -20,6 +20,7 @@ import tty
 
 VERSION = 4
 ARMED, RAMP_DOWN = 1, 2  # safety states in which torque flows
+UNKNOWN = -128  # temperature of a motor without a sensor
 
 
 class Refused(Exception):
@@ -117,14 +118,19 @@ class Board:
                 return content
 
     def sample(self, desired, measured=None):
-        """Runs a tick: `desired` is (q, qd, qdd) of the next period, `measured` (q, tau). Returns the torques, N·m."""
-        measured_q, measured_tau = measured or ([0.0] * self.joints,) * 2
+        """Runs a tick: `desired` is (q, qd, qdd) of the next period, `measured` (q, tau, temperatures of the motors).
+
+        Returns the torques, N·m. A sample carries the temperature of one joint, °C or None where it is not known.
+        """
+        measured_q, measured_tau, celsius = measured or ([0.0] * self.joints,) * 2 + ([None] * self.joints,)
         flags = int(measured is not None) | self.period << 3
+        motor = celsius[self.period % self.joints]
+        motor = UNKNOWN if motor is None else max(-127, min(math.ceil(motor), 127))
         self.period = (self.period + 1) % 32
         q, qd, qdd = desired
         motion = scaled(q, 3, 20) + scaled(qd, 3, 18) + scaled(qdd, 2, 9)
         effort = scaled(measured_q, 3, 20) + scaled(measured_tau, 3, 14)
-        reply = self._ask(struct.pack("<BBb", 1, flags, -128) + motion + effort, 1)
+        reply = self._ask(struct.pack("<BBb", 1, flags, motor) + motion + effort, 1)
         self.tick, self.flags, *self.safety = struct.unpack_from("<IHBB", reply)
         return list(struct.unpack_from(f"<{self.joints}f", reply, 8))
 
@@ -156,13 +162,13 @@ class Board:
 
 
 class SimulatedDrives:
-    """Drives that follow at once. Yours send q, qd and the torque to the bus, and read q and torque from it."""
+    """Drives that follow at once. Yours send q, qd and the torque to the bus; they read q, torque and temperature from it."""
 
     def __init__(self, q):
-        self.q, self.tau = list(q), [0.0] * len(q)
+        self.q, self.tau, self.celsius = list(q), [0.0] * len(q), [25.0] * len(q)
 
     def read(self):
-        return self.q, self.tau
+        return self.q, self.tau, self.celsius
 
     def command(self, q, qd, torque):
         self.q, self.tau = list(q), list(torque)

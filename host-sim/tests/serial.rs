@@ -165,6 +165,7 @@ fn tapped(command: impl FnOnce(&str) -> Command) -> (Option<i32>, String, Vec<u8
 }
 
 /// Tags of messages to a board.
+const SAMPLE: u8 = 1;
 const CONFIGURE: u8 = 3;
 const ARM: u8 = 10;
 const DISARM: u8 = 11;
@@ -251,10 +252,16 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
 ///
 /// * `command` the client, given the port of the board
 fn driven(log: &Path, command: impl FnOnce(&str) -> Command) -> Vec<Vec<f64>> {
-    let output = with_board(ur5(), |port| command(port).output());
+    let received = Mutex::default();
+    let output = with_board(Tap(ur5(), &received), |port| command(port).output());
     let output = output.expect("the client starts");
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{stderr}");
+    let received = received.into_inner().expect("no panic");
+    let frames = received.split(|byte| *byte == 0);
+    let samples = frames.filter(|frame| frame.get(4) == Some(&SAMPLE));
+    // Behind the flags the temperature of a motor, °C.
+    assert!(samples.map(|frame| frame[6]).all(|celsius| celsius == 25));
     let stdout = String::from_utf8_lossy(&output.stdout);
     assert!(stdout.starts_with("ur5, 6 joints\n"), "{stdout}");
     let text = text(log);
