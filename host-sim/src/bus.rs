@@ -123,7 +123,7 @@ fn undetermined(joint: usize, reason: &str) -> String {
 
 /// The adapters of an arm, in a thread with real time priority where the system permits it; a note where it does not.
 pub(super) fn wired(bus: &BusChoice, profile: &Profile) -> Result<WiredNetwork, Failure> {
-    let lines = bus.open(profile.bus.len())?;
+    let lines = bus.open(&profile.bus)?;
     if let Err(reason) = real_time() {
         show!("no priority of real time ({reason}): the ticks may come late")?;
     }

@@ -6,8 +6,8 @@ use super::terminal::show;
 use super::{Failure, arguments as of, drive, excite, identify, positive, unsupported, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
-use foretorque::learning::{ParameterSet, rated_payload};
-use foretorque_link::bank::NETWORK_SEED;
+use foretorque::learning::rated_payload;
+use foretorque_link::bank::Parameters;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{
     BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step,
@@ -186,7 +186,6 @@ impl Arguments {
         }
         let (config, robot) = (profile.config::<A, N, P>()?, &with_rotors(robot)?);
         let rest = Joints::<N>::from_column_slice(&profile.rest_rad);
-        let set = ParameterSet::nominal::<A>(NETWORK_SEED);
         let other_size = || unsupported(N);
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
         let network: Box<dyn Network> = if self.bus.is_simulated() {
@@ -195,7 +194,7 @@ impl Arguments {
             let plant = Plant::<N>::new(&truth, plant, self.seed);
             let mut plant = plant.ok_or_else(other_size)?;
             plant.place(&rest);
-            let rates = profile.bus.first().copied().unwrap_or_default();
+            let rates = profile.common_rates()?;
             let noise = Joints::zeros();
             let network = SimulatedNetwork::new(plant, &config, rates, &noise, self.seed);
             Box::new(network)
@@ -203,7 +202,7 @@ impl Arguments {
             Box::new(wired(&self.bus, profile)?)
         };
         let network = Attended::new(network, self.bus.is_simulated());
-        let player = BusPlayer::<A, _, N, P>::new(config, set, network)?;
+        let player = BusPlayer::<A, _, N, P>::new(config, &Parameters::nominal::<A>(), network)?;
         let mut arm = Commissioning::new(player, model, rest);
         let friction = robot.each(|joint| joint.friction.coulomb);
         arm.friction_nm = friction.map(Joints::from).ok_or_else(other_size)?;

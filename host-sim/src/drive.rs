@@ -8,8 +8,7 @@ use super::{Failure, bank, not_over, positive, unsupported, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
-use foretorque::learning::ParameterSet;
-use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
+use foretorque_link::bank::{ParameterBank, Parameters};
 use foretorque_link::bus::BusConfig;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{BusChoice, BusPlayer, Network, Profile};
@@ -136,7 +135,7 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     profile: &'a Profile,
     robot: &'a Robot,
     config: BusConfig<N>,
-    set: ParameterSet<N, P>,
+    parameters: Parameters<N, P>,
     path: Trajectory<N>,
     ticks: usize,
     arm: std::marker::PhantomData<A>,
@@ -162,15 +161,11 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         profile: &'a Profile,
         robot: &'a Robot,
     ) -> Result<Self, Failure> {
-        let mut config = profile.config::<A, N, P>()?;
+        let config = profile.config::<A, N, P>()?;
         let period_s = 1.0 / profile.rate_hz;
-        let mut set = ParameterSet::nominal::<A>(NETWORK_SEED);
+        let mut parameters = Parameters::nominal::<A>();
         if let Some(file) = &arguments.bank {
-            let bank = bank::read_for(file, robot)?;
-            set = bank.set::<A, N, P>()?;
-            for (joint, bounds) in config.joints.iter_mut().zip(&bank.limits) {
-                joint.drive.torque_limit = joint.drive.torque_limit.min(bounds.torque_nm);
-            }
+            parameters = bank::read_for(file, robot)?.parameters::<A, N, P>()?;
         }
         let (name, length_s) = (&arguments.trajectory, arguments.duration_s);
         let path = Trajectory::load(name, robot, arguments.seed, length_s, period_s)?;
@@ -182,7 +177,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             profile,
             robot,
             config,
-            set,
+            parameters,
             path,
             ticks: (duration_s / period_s).round() as usize,
             arm: std::marker::PhantomData,
@@ -204,8 +199,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         plant.place(&self.path.at(0.0).q);
         let limits = self.robot.joints.iter().map(|joint| joint.limits.torque);
         let noise = Joints::from_iterator(limits.map(|limit| REPORT_NOISE * limit));
-        let (rates, seed) = (self.profile.bus.first(), arguments.seed);
-        let rates = rates.copied().unwrap_or_default();
+        let (rates, seed) = (self.profile.common_rates()?, arguments.seed);
         let config = &self.config;
         Ok(SimulatedNetwork::new(plant, config, rates, &noise, seed))
     }
@@ -217,13 +211,13 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         alone: bool,
         log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
     ) -> Result<Played<A, N, P>, Failure> {
-        let mut set = self.set;
+        let mut parameters = self.parameters;
         if alone {
-            set = ParameterSet::nominal::<A>(NETWORK_SEED);
-            set.rigid.fill(0.0);
+            parameters.set = Parameters::nominal::<A>().set;
+            parameters.set.rigid.fill(0.0);
         }
         let network = Attended::new(network, self.arguments.bus.is_simulated());
-        let mut player = BusPlayer::new(self.config, set, network)?;
+        let mut player = BusPlayer::new(self.config, &parameters, network)?;
         player.arm()?;
         let mut played = Played {
             player,

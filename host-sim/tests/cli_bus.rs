@@ -112,7 +112,7 @@ rate_hz = 1000.0 | rate_hz = 2000.0 | bus 0: commands and replies take 0.81 ms, 
 bus = 1 | bus = 2 | joint 4: bus 2 contradicts the 2 buses
 gear = 6.0 | gear = 60.0 | joint 1: range of position 0.6666667 contradicts the travel
 torque_limit = 28.0 | torque_limit = 29.0 | joint 4: torque_limit 29 contradicts the torque of the arm 28
-id = 2 | id = 1 | joint 2: id 1 contradicts the same id of joint 1
+id = 2 | id = 1 | joint 2: id 1 contradicts the id in the replies of joint 1
 sign = 1.0 | sign = 0.5 | joint 1: size of sign 0.25
 kp = 3330.0 | kq = 3330.0 | unknown field `kq`
 robot = \"ur5\" | robot = \"panda\" | 6 joints contradict the 7 joints of robot 'panda'";

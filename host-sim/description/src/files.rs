@@ -269,7 +269,10 @@ mod tests {
         assert!(fs::symlink_metadata(&link).expect("is there").is_symlink());
         let below = WholeFile::create(&file.join("report.json")).err();
         let below = below.expect("no directory").to_string();
-        assert!(below.contains("file: is a file, where a directory"), "{below}");
+        assert!(
+            below.contains("file: is a file, where a directory"),
+            "{below}"
+        );
         let mode = fs::metadata(&file).expect("is there").permissions().mode();
         assert_eq!(fs::read(&file).expect("reads"), b"after");
         assert_eq!(mode & 0o777, 0o600);

@@ -3,7 +3,7 @@
 use crate::bus_loop::profile;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::Ur5;
-use foretorque::learning::ParameterSet;
+use foretorque_link::bank::Parameters;
 use foretorque_link::drives::{Protocol, Ranges};
 use foretorque_workbench::board::Described;
 use foretorque_workbench::bus::sim::{
@@ -44,8 +44,8 @@ fn arm_of<A: Arm<6, 40>>(
     let mut truths: [DriveTruth; 6] = std::array::from_fn(|j| *network.drives[j].truth());
     plant_mistake(&mut truths);
     network.drives = truths.map(SimulatedDrive::new);
-    let set = ParameterSet::nominal::<A>(1);
-    let player = BusPlayer::new(config, set, network).expect("it fits the arm");
+    let parameters = Parameters::nominal::<A>();
+    let player = BusPlayer::new(config, &parameters, network).expect("it fits the arm");
     let model = ReferenceModel::new(robot).expect("six joints");
     let mut arm = Commissioning::new(player, model, rest);
     arm.friction_nm = Joints::from_fn(|joint, _| robot.joints[joint].friction.coulomb);

@@ -64,9 +64,21 @@ impl<const N: usize> BusConfig<N> {
             let (bus, last) = (joint.bus.into(), f32::from(BUSES - 1));
             return Err(Contradiction::new("bus", bus, "the last bus", last));
         }
-        let same = |other: &BusJoint| other.bus == joint.bus && other.drive.id == joint.drive.id;
+        let same = |other: &BusJoint| {
+            let (own, other_drive) = (&joint.drive, &other.drive);
+            let mask = match (own.protocol, other_drive.protocol) {
+                // They reply with the low half byte of their id.
+                (Protocol::Damiao(_), Protocol::Damiao(_))
+                    if own.host_id == other_drive.host_id =>
+                {
+                    0xf
+                }
+                _ => u16::MAX,
+            };
+            other.bus == joint.bus && (own.id ^ other_drive.id) & mask == 0
+        };
         if let Some(before) = self.joints.iter().take(index).position(same) {
-            let (id, against) = (joint.drive.id.into(), "the same id of joint");
+            let (id, against) = (joint.drive.id.into(), "the id in the replies of joint");
             return Err(Contradiction::new("id", id, against, before as f32 + 1.0));
         }
         limits.map_or(Ok(()), |limits| joint.check_against(limits))
@@ -78,8 +90,10 @@ impl<const N: usize> BusConfig<N> {
         for (torque, joint) in limits.torque.iter_mut().zip(&self.joints) {
             *torque = torque.min(joint.drive.torque_limit);
         }
-        for (margin, joint) in limits.lowest.iter_mut().zip(&self.joints) {
-            *margin -= joint.position_resolution();
+        let ends = limits.lowest.iter_mut().zip(limits.highest.iter_mut());
+        for ((lowest, highest), joint) in ends.zip(&self.joints) {
+            *lowest -= joint.position_resolution();
+            *highest += joint.position_resolution();
         }
         limits
     }

@@ -16,6 +16,7 @@ mod config;
 mod drives;
 mod joint;
 
+use crate::bank::{Parameters, feed_forward_config};
 use crate::drives::{Contradiction, Frame, Saturation, Scale};
 use crate::safety::{Safety, SafetyReason, SafetyState, SafetyStatus};
 use crate::session::LearnerMailbox;
@@ -24,9 +25,9 @@ pub use config::{BusConfig, BusJoint};
 use core::fmt;
 pub use drives::{BusDrives, BusPhase};
 use foretorque::arm::Arm;
-use foretorque::feedforward::{FeedForward, FeedForwardConfig, Torque};
+use foretorque::feedforward::{FeedForward, Torque};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
-use foretorque::learning::{ParameterSet, Request, RequestPending};
+use foretorque::learning::{Request, RequestPending};
 pub use joint::JointCounters;
 
 /// Time without a reply of a drive after which the torque ends, s.
@@ -144,7 +145,7 @@ pub struct BusTick<const N: usize> {
 ///
 /// ```
 /// use foretorque::arm::ur5::Ur5;
-/// use foretorque::learning::ParameterSet;
+/// use foretorque_link::bank::Parameters;
 /// use foretorque_link::bus::{BusConfig, BusController, BusJoint, BusPhase};
 /// use foretorque_link::drives::{DriveProfile, Protocol, Ranges};
 /// use foretorque_link::session::LearnerMailbox;
@@ -157,7 +158,7 @@ pub struct BusTick<const N: usize> {
 ///     bus: 0, kp: 100.0, kd: 5.0,
 /// };
 /// let config = BusConfig { period_s: 2e-3, joints: [1, 2, 3, 4, 5, 6].map(joint) };
-/// let mut bus = BusController::<Ur5, 6, 40>::new(config, ParameterSet::nominal::<Ur5>(1))?;
+/// let mut bus = BusController::<Ur5, 6, 40>::new(config, &Parameters::nominal::<Ur5>())?;
 /// let (mut mailbox, mut sent) = (LearnerMailbox::new(), 0);
 /// let tick = bus.tick(None, &mut mailbox, |_bus, _frame| sent += 1);
 /// assert_eq!((tick.phase, sent), (BusPhase::Off, 6));
@@ -171,20 +172,26 @@ pub struct BusController<A: Arm<N, P>, const N: usize, const P: usize> {
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
-    /// A loop at tick 0 with `set` active, learning off, drives off.
+    /// A loop at tick 0 with `parameters` in force, learning off, drives off. A joint has the lower one of the torque limits
+    /// of its drive and of the parameters.
     ///
-    /// Errors: the first contradiction of `config`.
-    pub fn new(config: BusConfig<N>, set: ParameterSet<N, P>) -> Result<Self, Contradiction> {
+    /// Errors: the first contradiction of `config`; limits beyond the arm's.
+    pub fn new(
+        mut config: BusConfig<N>,
+        parameters: &Parameters<N, P>,
+    ) -> Result<Self, Contradiction> {
         config.check::<A, P>()?;
         let period_s = config.period_s;
-        let mut limits = FeedForwardConfig::for_arm::<A, P>(period_s);
-        for (joint, bounds) in config.joints.iter().zip(&mut limits.limits) {
-            bounds.torque = bounds.torque.min(joint.drive.torque_limit);
-        }
         let against = "the limits of the arm over a period of";
-        let refused = |_| Contradiction::new("period_s", period_s, against, period_s);
+        let refused = Contradiction::new("period_s", period_s, against, period_s);
+        let limits = feed_forward_config::<A, N, P>(&parameters.bounds, period_s);
+        let mut limits = limits.map_err(|_| refused)?;
+        for (joint, bounds) in config.joints.iter_mut().zip(&mut limits.limits) {
+            bounds.torque = bounds.torque.min(joint.drive.torque_limit);
+            joint.drive.torque_limit = bounds.torque;
+        }
         Ok(Self {
-            feed_forward: FeedForward::new(limits, set).map_err(refused)?,
+            feed_forward: FeedForward::new(limits, parameters.set).map_err(|_| refused)?,
             safety: Safety::new(config.safety_limits::<A, P>(), SafetyReason::None),
             drives: BusDrives::new::<A, P>(&config.joints.map(Some), period_s),
             config,

@@ -6,7 +6,6 @@ use crate::safety::SafetyState;
 use crate::session::LearnerMailbox;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
-use foretorque::learning::ParameterSet;
 use std::vec::Vec;
 
 type Controller = BusController<Ur5, 6, 40>;
@@ -41,7 +40,7 @@ fn config() -> BusConfig<6> {
 }
 
 fn controller(config: BusConfig<6>) -> Result<Controller, Contradiction> {
-    Controller::new(config, ParameterSet::nominal::<Ur5>(1))
+    Controller::new(config, &Parameters::nominal::<Ur5>())
 }
 
 /// Drives that stand where they are told, with a switch for each.
@@ -269,7 +268,7 @@ fn foreign_frames_and_any_bits_change_no_torque() {
 
 #[test]
 fn contradictions_name_joint_field_and_both_values() {
-    let spoils: [fn(&mut BusConfig<6>); 8] = [
+    let spoils: [fn(&mut BusConfig<6>); 9] = [
         |c| c.period_s = 1e-4,
         |c| c.joints[1].drive.torque_limit = 180.0,
         |c| {
@@ -277,6 +276,7 @@ fn contradictions_name_joint_field_and_both_values() {
             c.joints[2].drive.protocol = Protocol::Damiao(Ranges { torque, ..RANGES });
         },
         |c| c.joints[5].drive.id = 4,
+        |c| c.joints[5].drive.id = 20,
         |c| c.joints[0].bus = 2,
         |c| c.joints[0].kp = 6000.0,
         |c| c.joints[5].drive.gear = 10.0,
@@ -286,7 +286,8 @@ fn contradictions_name_joint_field_and_both_values() {
         "period_s 0.0001 contradicts the shortest period 0.0005",
         "joint 2: torque_limit 180 contradicts the torque of the arm 150",
         "joint 3: torque_limit 28 contradicts the largest value 20",
-        "joint 6: id 4 contradicts the same id of joint 4",
+        "joint 6: id 4 contradicts the id in the replies of joint 4",
+        "joint 6: id 20 contradicts the id in the replies of joint 4",
         "joint 1: bus 2 contradicts the last bus 1",
         "joint 1: kp 6000 contradicts the largest kp of the frame 5000",
         "joint 6: range of position 1.25 contradicts the travel of the arm from its zero 6.38",

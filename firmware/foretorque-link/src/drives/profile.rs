@@ -201,7 +201,8 @@ impl DriveProfile {
         // A turn must fit into the target of a frame, an i32.
         const COUNTS: (f32, f32) = (1.0, 2_147_483_648.0);
         let (ids, hosts) = match self.protocol {
-            Protocol::MiniCheetah(_) => ((1.0, 2047.0), (0.0, 2047.0)),
+            // A reply has one byte for the id.
+            Protocol::MiniCheetah(_) => ((1.0, 255.0), (0.0, 2047.0)),
             // 0x7FF belongs to the registers of all Damiao drives.
             Protocol::Damiao(_) => ((1.0, 2046.0), (0.0, 2046.0)),
             Protocol::CyberGear(_) | Protocol::RobStride(_) => ((1.0, 127.0), (0.0, 255.0)),

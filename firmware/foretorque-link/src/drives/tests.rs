@@ -308,13 +308,17 @@ fn profiles_that_contradict_themselves_are_refused() {
     let good = profile(Protocol::Damiao(RANGES));
     assert_eq!(good.check(), Ok(()));
     type Change = fn(&mut DriveProfile);
-    let changes: [(Change, &str); 8] = [
+    let changes: [(Change, &str); 9] = [
         (|p| p.sign = 0.5, "size of sign"),
         (|p| p.sign = f32::NAN, "sign"),
         (|p| p.gear = 0.0, "gear"),
         (|p| p.torque_limit = 10.1, "torque_limit"),
         (|p| p.torque_limit = f32::NAN, "torque_limit"),
         (|p| p.id = 0, "id"),
+        (
+            |p| (p.protocol, p.id) = (Protocol::MiniCheetah(RANGES), 300),
+            "id",
+        ),
         (
             |p| (p.protocol, p.id) = (odrive(ControlMode::Position), 63),
             "id",

@@ -247,26 +247,26 @@ impl BusChoice {
         self.kind == "sim"
     }
 
-    /// Opens the adapters of `buses` buses; none for the simulated ones.
+    /// Opens the adapters of buses with these bit rates; none for the simulated ones.
     ///
     /// Errors: another number of names, the first that cannot be opened.
-    pub fn open(&self, buses: usize) -> Result<Vec<Box<dyn Line>>, BusError> {
+    pub fn open(&self, rates: &[BitRates]) -> Result<Vec<Box<dyn Line>>, BusError> {
         let refused = |error| BusError::Open(self.to_string(), error);
-        let count = self.names.len();
+        let (count, buses) = (self.names.len(), rates.len());
         if count != buses && !self.is_simulated() {
             let text = format!("{count} named, the profile has {buses} buses");
             return Err(refused(std::io::Error::other(text)));
         }
-        let open = |name: &String| -> std::io::Result<Box<dyn Line>> {
+        let open = |(name, rates): (&String, &BitRates)| -> std::io::Result<Box<dyn Line>> {
             Ok(match self.kind {
                 "udp" => Box::new(UdpMulticast::open(name)?),
-                "slcan" => Box::new(TextLine::open(name, TextForm::Slcan)?),
-                "fdcanusb" => Box::new(TextLine::open(name, TextForm::Fdcanusb)?),
+                "slcan" => Box::new(TextLine::open(name, TextForm::Slcan, rates)?),
+                "fdcanusb" => Box::new(TextLine::open(name, TextForm::Fdcanusb, rates)?),
                 _ => Box::new(SocketCan::open(name)?),
             })
         };
-        let names = self.names.iter();
-        names.map(|name| open(name).map_err(refused)).collect()
+        let buses = self.names.iter().zip(rates);
+        buses.map(|bus| open(bus).map_err(refused)).collect()
     }
 }
 
@@ -307,12 +307,16 @@ mod tests {
             "udp:10.0.0.1",
             "udp:here",
         ] {
-            let refused = name.parse::<BusChoice>().expect(name).open(1);
+            let refused = name
+                .parse::<BusChoice>()
+                .expect(name)
+                .open(&[BitRates::default()]);
             let message = refused.err().expect(name).to_string();
             assert!(message.starts_with(&format!("bus {name}: ")), "{message}");
             assert_eq!(message.lines().count(), 1, "{message}");
         }
-        let two = "socketcan:a,b".parse::<BusChoice>().expect("two").open(1);
-        assert!(two.err().expect("one bus").to_string().contains("2 named"));
+        let two = "socketcan:a,b".parse::<BusChoice>().expect("two");
+        let two = two.open(&[BitRates::default()]).err();
+        assert!(two.expect("one bus").to_string().contains("2 named"));
     }
 }

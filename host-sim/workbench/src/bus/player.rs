@@ -4,7 +4,8 @@ use super::{BusError, Network};
 use crate::dynamics::{Joints, State};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointVector};
-use foretorque::learning::{Learner, ParameterSet};
+use foretorque::learning::Learner;
+use foretorque_link::bank::Parameters;
 use foretorque_link::bus::{BusConfig, BusController, BusPhase, BusTick};
 use foretorque_link::drives::Contradiction;
 use foretorque_link::safety::{SafetyReason, SafetyState};
@@ -54,17 +55,20 @@ impl Jitter {
 }
 
 impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N, P> {
-    /// A loop with its drives off.
+    /// A loop with its drives off. Learning starts from `parameters` and their standard deviations.
     ///
     /// Errors: a profile that contradicts itself or the arm.
     pub fn new(
         config: BusConfig<N>,
-        set: ParameterSet<N, P>,
+        parameters: &Parameters<N, P>,
         network: W,
     ) -> Result<Self, Contradiction> {
-        let controller = BusController::new(config, set)?;
+        let controller = BusController::new(config, parameters)?;
         let (period, against) = (config.period_s, "the limits of the learner at a period of");
-        let learner = Learner::new(config.learner::<A, P>(), set)
+        let limits = config.learner::<A, P>();
+        let mut learner = Learner::empty(limits);
+        learner
+            .restart_with(limits, &parameters.set, &parameters.start)
             .map_err(|_| Contradiction::new("period_s", period, against, period))?;
         Ok(Self {
             controller,

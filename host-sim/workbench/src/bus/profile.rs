@@ -154,15 +154,29 @@ impl Profile {
         Ok(config)
     }
 
+    /// Bit rates of every bus.
+    ///
+    /// Errors: two buses with different ones, which neither the board nor the simulated buses have.
+    pub fn common_rates(&self) -> Result<BitRates, BusError> {
+        match self.bus[..] {
+            [one, ref more @ ..] if more.iter().all(|other| *other == one) => Ok(one),
+            _ => Err(refused(
+                &self.file,
+                "bus: a board and simulated buses have one bit_s and data_bit_s for both buses"
+                    .to_owned(),
+            )),
+        }
+    }
+
     /// Drives and role of a board on this bus, as its flash holds them.
     ///
-    /// Errors: as [`config`](Self::config).
+    /// Errors: as [`config`](Self::config) and [`common_rates`](Self::common_rates).
     pub fn wiring<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
         role: Role,
         wires: Wires,
     ) -> Result<Wiring<N>, BusError> {
-        let bit_s = self.bus.first().copied().unwrap_or_default().nominal as u32;
+        let bit_s = self.common_rates()?.nominal as u32;
         let joints = self.config::<A, N, P>()?.joints.into_iter();
         Ok(Wiring {
             role,

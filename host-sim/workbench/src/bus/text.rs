@@ -5,6 +5,7 @@
 //! | slcan | `t1232AABB`, `T`, `r`; CAN-FD: `d`, `D`, with bit rate switch `b`, `B` | Lawicel CAN232 manual; CANable 2 |
 //! | fdcanusb | `can send 8001 AABB BF`, `rcv 100 AABB E B F` | mjbots fdcanusb, docs/reference.md |
 
+use super::profile::BitRates;
 use super::{Line, frame_of};
 use foretorque_link::drives::Frame;
 use serialport::SerialPort;
@@ -37,6 +38,11 @@ pub(super) struct TextLine {
 /// Lengths of CAN-FD frames by their code.
 const LENGTHS: [usize; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
 
+/// Bit rates of the commands S0 to S8, bit/s.
+const SLCAN_BIT_S: [f64; 9] = [1e4, 2e4, 5e4, 1e5, 1.25e5, 2.5e5, 5e5, 8e5, 1e6];
+/// Bit rates of the commands Y2 and Y5 for the data phase, bit/s.
+const SLCAN_DATA_BIT_S: [f64; 2] = [2e6, 5e6];
+
 impl TextForm {
     const fn name(self) -> &'static str {
         match self {
@@ -45,12 +51,22 @@ impl TextForm {
         }
     }
 
-    /// Lines that open the bus: 1 Mbit/s, 5 Mbit/s in the data phase.
-    const fn opening(self) -> &'static str {
-        match self {
-            Self::Slcan => "C\rS8\rY5\rO\r",
-            Self::Fdcanusb => "\ncan on\n",
+    /// Lines that open the bus. An fdcanusb keeps its bit rates itself.
+    ///
+    /// Errors: bit rates that the protocol has no code for.
+    fn opening(self, rates: &BitRates) -> io::Result<String> {
+        if self == Self::Fdcanusb {
+            return Ok("\ncan on\n".to_owned());
         }
+        let BitRates { nominal, data } = rates;
+        let code = SLCAN_BIT_S.iter().position(|known| known == nominal);
+        let code = code.zip(SLCAN_DATA_BIT_S.contains(data).then_some(data / 1e6));
+        let (code, data) = code.ok_or_else(|| {
+            io::Error::other(format!(
+                "slcan has no code for bit_s {nominal} with data_bit_s {data}: of the first it has {SLCAN_BIT_S:?}, of the second {SLCAN_DATA_BIT_S:?}"
+            ))
+        })?;
+        Ok(format!("C\rS{code}\rY{data}\rO\r"))
     }
 
     /// A frame as a line.
@@ -155,11 +171,12 @@ fn bytes(hex: &str) -> Option<Vec<u8>> {
 impl TextLine {
     /// Opens an adapter on port `path`.
     ///
-    /// Errors: the port's.
-    pub(super) fn open(path: &str, form: TextForm) -> io::Result<Self> {
+    /// Errors: the port's; bit rates that the adapter cannot be given.
+    pub(super) fn open(path: &str, form: TextForm, rates: &BitRates) -> io::Result<Self> {
+        let opening = form.opening(rates)?;
         let opened = serialport::new(path, 921_600).timeout(PATIENCE).open();
         let mut port = opened.map_err(|error| io::Error::other(error.to_string()))?;
-        port.write_all(form.opening().as_bytes())?;
+        port.write_all(opening.as_bytes())?;
         Ok(Self {
             port,
             path: path.to_owned(),
@@ -293,16 +310,17 @@ mod tests {
                 "OK\nrcv 11 2122334455667788 e b f\n",
             ),
         ] {
+            let rates = BitRates::default();
             let (mut adapter, end) = TTYPort::pair().expect("the system has pseudo-terminals");
             adapter
                 .set_timeout(Duration::from_secs(2))
                 .expect("it has a timeout");
             let path = end.name().expect("it has a name");
             drop(end);
-            let mut line = TextLine::open(&path, form).expect("it is free");
+            let mut line = TextLine::open(&path, form, &rates).expect("it is free");
             let enable = Frame::standard(1, &[255, 255, 255, 255, 255, 255, 255, 252]);
             line.send(&enable).expect("it is there");
-            let whole = form.opening().to_owned() + sent;
+            let whole = form.opening(&rates).expect("it has codes") + sent;
             let mut taken = vec![0; whole.len()];
             adapter.read_exact(&mut taken).expect("it was sent");
             assert_eq!(String::from_utf8_lossy(&taken), whole);
@@ -315,6 +333,19 @@ mod tests {
                 received = line.receive().expect("it is there");
             }
             assert_eq!(received, Some(reply));
+        }
+    }
+
+    #[test]
+    fn an_slcan_adapter_is_given_the_bit_rates_of_the_profile() {
+        let opening = |nominal, data| TextForm::Slcan.opening(&BitRates { nominal, data });
+        for (nominal, data, expected) in
+            [(1e6, 5e6, "C\rS8\rY5\rO\r"), (5e5, 2e6, "C\rS6\rY2\rO\r")]
+        {
+            assert_eq!(opening(nominal, data).expect("it has codes"), expected);
+        }
+        for (nominal, data) in [(3e5, 5e6), (1e6, 8e6)] {
+            assert!(opening(nominal, data).is_err(), "{nominal} {data}");
         }
     }
 }

@@ -5,6 +5,7 @@ mod scenarios;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use foretorque::learning::ParameterSet;
+use foretorque_link::bank::Parameters;
 use foretorque_link::bus::{BusPhase, BusTick};
 use foretorque_link::drives::DriveState;
 use foretorque_link::safety::SafetyState;
@@ -58,11 +59,11 @@ fn described() -> Set {
 fn player(profile: &Profile, path: &Trajectory<6>, forward: bool) -> Player {
     let network = network(profile, path, PlantConfig::default(), Events::default());
     let config = profile.config::<Ur5, 6, 40>().expect("it fits the arm");
-    let mut set = described();
+    let mut parameters = Parameters::nominal::<Ur5>();
     if !forward {
-        set.rigid.fill(0.0);
+        parameters.set.rigid.fill(0.0);
     }
-    BusPlayer::new(config, set, network).expect("it fits the arm")
+    BusPlayer::new(config, &parameters, network).expect("it fits the arm")
 }
 
 /// Switches the drives on and moves to the begin of the path.

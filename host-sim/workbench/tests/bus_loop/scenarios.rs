@@ -4,6 +4,7 @@ use super::{Player, Set, described, network, path, play, player, profile, tracki
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::learning::rated_payload;
+use foretorque_link::bank::Parameters;
 use foretorque_link::drives::{Cia402, ControlMode, Moteus, Odrive, Protocol, Ranges, Resolution};
 use foretorque_workbench::bus::sim::{DriveTruth, LineFault, SimulatedDrive, TimedFault};
 use foretorque_workbench::bus::{BusPlayer, Profile};
@@ -26,7 +27,11 @@ fn play_on(
     let (profile, path) = (profile(RATE_HZ), path(duration_s));
     let config = profile.config::<Ur5, 6, 40>().expect("it fits the arm");
     let network = network(&profile, &path, plant, events);
-    let mut player = BusPlayer::new(config, set, network).expect("it fits the arm");
+    let parameters = Parameters {
+        set,
+        ..Parameters::nominal::<Ur5>()
+    };
+    let mut player = BusPlayer::new(config, &parameters, network).expect("it fits the arm");
     play(&mut player, (&profile, &path), true, seen);
     player
 }

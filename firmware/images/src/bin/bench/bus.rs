@@ -2,8 +2,9 @@
 
 use core::mem::MaybeUninit;
 
-use foretorque::arm::ur5::{JOINTS, PARAMETERS, ParameterSet, Ur5};
+use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::JointMotion;
+use foretorque_link::bank::Parameters;
 use foretorque_link::bus::{BusConfig, BusController, BusJoint, BusPhase};
 use foretorque_link::drives::in_line::{Bridge, InLine, Port};
 use foretorque_link::drives::{
@@ -71,7 +72,7 @@ impl Bus {
         let mut in_line = InLine::new(joints.map(|joint| Some(joint.drive)), u32::MAX);
         in_line.set(&[1.0; JOINTS], 0);
         let bus = place.write(Self {
-            controller: BusController::new(config, ParameterSet::nominal::<Ur5>(1)).ok()?,
+            controller: BusController::new(config, &Parameters::nominal::<Ur5>()).ok()?,
             mailbox: LearnerMailbox::new(),
             replies: [a, b, c, d, e, f],
             bridge: Bridge::new([Mailbox::default(), Mailbox::default()], Some(in_line)),
