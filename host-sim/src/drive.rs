@@ -4,7 +4,7 @@ use super::bus::{Attended, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, show};
-use super::{Failure, bank, not_over, positive, unsupported, unusable, within};
+use super::{Failure, bank, duration, not_over, unsupported, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -16,6 +16,7 @@ use foretorque_workbench::closed_loop::{TickRecord, motion_f32};
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::plant::{Measurement, Plant};
+use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use foretorque_workbench::trajectory::Trajectory;
@@ -42,7 +43,7 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Play this long, s; an excitation repeats, a validation path is made as long, everything else ends by itself
-    #[arg(long, value_parser = positive)]
+    #[arg(long, value_parser = duration)]
     duration_s: Option<f64>,
     /// Parameter bank to start from; without it the description's rigid body
     #[arg(long, value_name = "FILE")]
@@ -75,7 +76,7 @@ struct Summary {
     ticks: usize,
     learning: bool,
     /// Over the second half of the run.
-    tracking_rms_mrad: f64,
+    tracking_rms_mrad: Option<f64>,
     /// With the drives' own PD alone; simulated buses only, and only where it plays the whole path.
     alone_tracking_rms_mrad: Option<f64>,
     tracking_ratio: Option<f64>,
@@ -120,7 +121,7 @@ impl Arguments {
         if !self.alone {
             let network = Box::new(drive.simulated()?);
             let played = drive.tracking(network, true, &mut |_| Ok(()))?;
-            alone = Some(played.rms_mrad()).filter(|_| played.ended.is_none());
+            alone = played.rms_mrad().filter(|_| played.ended.is_none());
             if let Some(reason) = played.ended {
                 show!("PD of the drives alone: {reason}")?;
             }
@@ -150,8 +151,9 @@ struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Played<A, N, P> {
-    fn rms_mrad(&self) -> f64 {
-        (self.squares / (N * self.counted) as f64).sqrt() * 1e3
+    /// Tracking error, mrad; `None` without a measurement in the second half.
+    fn rms_mrad(&self) -> Option<f64> {
+        (self.counted > 0).then(|| (self.squares / (N * self.counted) as f64).sqrt() * 1e3)
     }
 }
 
@@ -310,7 +312,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             learning: self.arguments.learn,
             tracking_rms_mrad: rms,
             alone_tracking_rms_mrad: alone_mrad,
-            tracking_ratio: alone_mrad.map(|alone| alone / rms),
+            tracking_ratio: alone_mrad.zip(rms).map(|(alone, rms)| alone / rms),
             jitter_median_us: median,
             jitter_999_us: high,
             jitter_largest_us: largest,
@@ -324,7 +326,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         }
         let (ticks, rate_hz) = (summary.ticks, summary.rate_hz);
         show!(
-            "{ticks} ticks at {rate_hz} Hz, tracking error {rms:.3} mrad RMS in the second half"
+            "{ticks} ticks at {rate_hz} Hz, tracking error {} mrad RMS in the second half",
+            or_dash(rms, |rms| format!("{rms:.3}"))
         )?;
         if let Some((alone, ratio)) = alone_mrad.zip(summary.tracking_ratio) {
             show!("PD of the drives alone: {alone:.3} mrad, ratio {ratio:.2}")?;

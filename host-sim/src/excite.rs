@@ -2,7 +2,7 @@ use super::arm::{RobotOptions, with_rotors};
 use super::terminal::{Bar, show};
 use super::{Failure, finite, not_over, positive, text_of, unusable, within};
 use clap::{Args, ValueEnum};
-use foretorque_workbench::excitation::{self, Criterion, Excitation, SearchConfig};
+use foretorque_workbench::excitation::{self, Criterion, Excitation, MOST_PERIOD_S, SearchConfig};
 use foretorque_workbench::files::{WholeFile, write_whole};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{TableWriter, state_columns};
@@ -75,10 +75,8 @@ enum CriterionName {
     Constrained,
 }
 
-/// Longest period, s: every millisecond of it is checked and written.
-const MOST_PERIOD_S: f64 = 1000.0;
-
-fn period(text: &str) -> Result<f64, String> {
+/// Period of a motion, s.
+pub(super) fn period(text: &str) -> Result<f64, String> {
     let limit = format!("must be at most {MOST_PERIOD_S}");
     let period_s = positive(text)?;
     (period_s <= MOST_PERIOD_S).then_some(period_s).ok_or(limit)

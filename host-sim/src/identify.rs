@@ -57,8 +57,8 @@ pub(super) struct Arguments {
     /// below the cut-offs. Validation logs always go through the zero-phase Butterworth filter.
     #[arg(long, default_value = "butterworth")]
     filter: Filter,
-    /// Period of the training logs, s, for --filter fourier
-    #[arg(long, conflicts_with = "excitation", value_parser = positive)]
+    /// Period of the training logs, s, for --filter fourier; at most 1000
+    #[arg(long, conflicts_with = "excitation", value_parser = excite::period)]
     period_s: Option<f64>,
     /// The excitation.json that the training logs repeat, for --filter fourier
     #[arg(long, value_name = "FILE")]
@@ -195,6 +195,10 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     let rows = PrepareConfig::for_logs(&logs, robot)?;
     let methods = match &arguments.methods[..] {
         [] => METHODS.iter().map(|(method, _)| *method).collect(),
+        chosen if chosen.iter().all(|name| *name == MethodName::BpBlackBox) => {
+            let problem = "--methods: bp_black_box has no bank, add another one";
+            return Err(unusable(problem));
+        }
         chosen => chosen.to_vec(),
     };
     let torque_hz = arguments.torque_hz.or(rows.torque_hz);

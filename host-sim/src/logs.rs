@@ -3,7 +3,7 @@
 use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::terminal::{Bar, SignalGuard, show};
-use super::{Failure, bank, not_over, positive, sound, unusable, within};
+use super::{Failure, bank, duration, not_over, positive, sound, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, StartDeviations};
@@ -86,7 +86,7 @@ pub(super) struct Record {
     #[arg(long, value_name = "MS", default_value_t = 1.0, value_parser = positive)]
     period_ms: f64,
     /// Record this long, s; without it until Ctrl-C
-    #[arg(long, value_parser = positive)]
+    #[arg(long, value_parser = duration)]
     duration_s: Option<f64>,
     /// Table of the records; the MCAP beside it has the same name
     #[arg(long, value_name = "FILE")]
@@ -101,8 +101,8 @@ impl Record {
             let reason = "only the line of a board at serial:PORT can be read along";
             return Err(unusable(format!("--board {}: {reason}", self.board)));
         };
-        let end = self.duration_s.map(Duration::try_from_secs_f64);
-        let end = end.transpose()?.map(|duration| Instant::now() + duration);
+        let end = self.duration_s.map(Duration::from_secs_f64);
+        let end = end.map(|duration| Instant::now() + duration);
         let mut line = Serial::open(port, serial::BAUD)?;
         let mut overheard = Overheard::new(&self.out, 1e-3 * self.period_ms);
         let named = |error| at(&self.out, error);

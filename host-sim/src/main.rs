@@ -27,6 +27,7 @@ use foretorque_workbench::Refusal;
 use foretorque_workbench::files::at;
 use foretorque_workbench::identification::{Finding, Judgement};
 use foretorque_workbench::snapshot;
+use foretorque_workbench::trajectory::MOST_DURATION_S;
 use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -75,6 +76,16 @@ fn fitting(text: &str, fits: fn(f64) -> bool, wrong: &str) -> Result<f64, String
 
 fn positive(text: &str) -> Result<f64, String> {
     fitting(text, |value| value > 0.0, "must be positive")
+}
+
+/// Time of a motion, s.
+fn duration(text: &str) -> Result<f64, String> {
+    let wrong = format!("must be positive and at most {MOST_DURATION_S}");
+    fitting(
+        text,
+        |value| value > 0.0 && value <= MOST_DURATION_S,
+        &wrong,
+    )
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {

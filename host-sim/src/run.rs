@@ -72,13 +72,14 @@ pub(super) struct Arguments {
 }
 
 /// Files that a run writes.
-const RESULTS: [&str; 6] = [
+const RESULTS: [&str; 7] = [
     "log.csv",
     "log.mcap",
     "report.json",
     "report.html",
     "bank.bin",
     "telemetry.csv",
+    "telemetry.mcap",
 ];
 
 fn brake_range() -> clap::builder::RangedI64ValueParser<u16> {

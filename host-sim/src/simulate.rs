@@ -2,7 +2,7 @@ use super::arm::{RobotOptions, with_rotors};
 use super::disturbances::{DisturbanceArguments, FaultArguments};
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, keep_stdout_for, show};
-use super::{Failure, not_negative, not_over, positive, unsupported, unusable};
+use super::{Failure, duration, not_negative, not_over, positive, unsupported, unusable};
 use clap::Args;
 use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
@@ -72,17 +72,6 @@ fn bandwidth(text: &str) -> Result<f64, String> {
     let limit = format!("must be at most {MOST_BANDWIDTH_HZ}");
     let hz = positive(text)?;
     (hz <= MOST_BANDWIDTH_HZ).then_some(hz).ok_or(limit)
-}
-
-/// Longest motion, s: every millisecond of it is a row.
-const MOST_DURATION_S: f64 = 1e5;
-
-fn duration(text: &str) -> Result<f64, String> {
-    let limit = format!("must be at most {MOST_DURATION_S}");
-    let duration_s = positive(text)?;
-    (duration_s <= MOST_DURATION_S)
-        .then_some(duration_s)
-        .ok_or(limit)
 }
 
 /// Argument for runs in trouble.
@@ -171,9 +160,11 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     keep_stdout_for(&arguments.out);
     let robot = arguments.robot.load_coupled()?;
     let read = arguments.robot.files().into_iter();
+    let out = &arguments.out;
+    let beside = arguments.mcap.then(|| out.with_extension("mcap"));
     not_over(
         read.chain(arguments.motion.files()),
-        [arguments.out.clone()],
+        beside.into_iter().chain([out.clone()]),
     )?;
     joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }

@@ -151,6 +151,10 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
     let series = include_str!("../paths/ur5-excitation.json");
     let other = series.replacen("\"ur5\"", "\"other\"", 1);
     write(here.join("other.json"), other);
+    let long = series.replacen("\"period_s\": 10.0", "\"period_s\": 1e9", 1);
+    assert_ne!(long, series);
+    write(here.join("long.json"), long);
+    write(here.join("geared.toml"), "gear_ratios = [nan]");
     write(here.join("copy.csv"), text(here.join("good.csv")));
     for (wrong, expected) in [
         ("--gains standstill", "no motor currents"),
@@ -161,6 +165,16 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
         ),
         ("--still-rad-s 50", "no joint moves"),
         ("--filter fourier --period-s 5", "do not repeat every 5 s"),
+        ("--filter fourier --period-s 1e9", "must be at most 1000"),
+        (
+            "--filter fourier --excitation long.json",
+            "long.json: excitation: period of 1000000000 s, not above 0",
+        ),
+        ("--methods bp_black_box", "bp_black_box has no bank"),
+        (
+            "--columns-from geared.toml",
+            "geared.toml: gear_ratios: NaN is no ratio",
+        ),
         ("--truth panda", "an arm with other parameters"),
         (
             "--filter fourier --excitation other.json",

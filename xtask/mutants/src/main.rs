@@ -44,6 +44,10 @@ const NO_REASON: &str = "no reason given";
 fn main() -> ExitCode {
     let count = match std::env::args().nth(1).map(|count| count.parse()) {
         None => COUNT,
+        Some(Ok(0)) => {
+            eprintln!("error: number of mutants: 0, at least 1");
+            return ExitCode::from(2);
+        }
         Some(Ok(count)) => count,
         Some(Err(error)) => {
             eprintln!("error: number of mutants: {error}");
@@ -97,7 +101,7 @@ fn campaign(count: usize) -> Result<()> {
         );
         report.note(name.is_some(), killer.is_some(), &label);
     }
-    report.write(root)
+    report.conclude((count == COUNT).then(|| root.join(REPORT)))
 }
 
 impl Mutant {
@@ -214,7 +218,10 @@ impl Report {
         }
     }
 
-    fn write(&mut self, root: &Path) -> Result<()> {
+    /// Prints the report, and writes it to `file`: that of a smaller sample would lose reasons.
+    ///
+    /// Errors: the file's, mutants that live beyond the bounds or without a reason.
+    fn conclude(&mut self, file: Option<PathBuf>) -> Result<()> {
         let [(named, named_killed), (sampled, killed)] = self.counts;
         let share = 100.0 * killed as f64 / sampled as f64;
         let mut text = format!(
@@ -227,7 +234,9 @@ impl Report {
             unexplained += usize::from(reason == NO_REASON);
             writeln!(text, "{label} | {reason}")?;
         }
-        fs::write(root.join(REPORT), &text)?;
+        if let Some(file) = file {
+            fs::write(file, &text)?;
+        }
         println!("\n{text}");
         ensure!(named_killed == named, "a named mutant lives");
         if share < REQUIRED {

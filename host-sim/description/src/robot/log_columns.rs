@@ -216,7 +216,16 @@ impl LogColumns {
             let known = LOG_SOURCES.join(", ");
             Refusal::of(path, format!("not one of {known}, and as a file: {error}"))
         })?;
-        toml::from_str(&text).map_err(|error| Refusal::toml(path, &text, &error))
+        let columns: Self =
+            toml::from_str(&text).map_err(|error| Refusal::toml(path, &text, &error))?;
+        let mut ratios = columns.gear_ratios.iter();
+        match ratios.find(|ratio| !ratio.is_normal()) {
+            Some(ratio) => Err(Refusal::of(
+                path,
+                format!("gear_ratios: {ratio} is no ratio"),
+            )),
+            None => Ok(columns),
+        }
     }
 
     /// Columns of the known sources, by name. A source may write its columns in more than one way.

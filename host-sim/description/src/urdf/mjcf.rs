@@ -247,8 +247,8 @@ impl<'a, 'input> Reader<'a, 'input> {
             "prismatic" => 1.0,
             _ => self.angle(1.0),
         };
+        let back = -of("ref")?.unwrap_or(0.0) * turn;
         let back = Unit::try_new(axis, 1e-9).map_or(Matrix3::identity(), |axis| {
-            let back = -of("ref").ok().flatten().unwrap_or(0.0) * turn;
             Rotation3::from_axis_angle(&axis, back).into_inner()
         });
         let force = self.range(node, class, ["actuatorfrcrange", "actuatorfrclimited"])?;
@@ -422,6 +422,7 @@ mod tests {
             eulerseq ; inertiafromgeom="true" eulerseq ; inertiafromgeom="true" cannot be read
             ref="10" ; axis="0 0" ; axis
             mass="2" ; mass="two" ; mass="two" is not a number
+            ref="10" ; ref="10deg" ; ref="10deg" is not a number
             euler="90 0 0" ; euler="90 0" ; 'euler'
             <worldbody> ; <include file="no.xml"/><worldbody> ; file="no.xml"
             name="turn" ; name="slide" ; the name 'slide' is used twice"#;

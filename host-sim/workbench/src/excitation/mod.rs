@@ -101,14 +101,20 @@ impl Excitation {
         if self.joints.len() != robot.joint_count() {
             return Err(other_joints(self.joints.len(), robot.joint_count()));
         }
-        if !(self.period_s.is_finite() && self.period_s > 0.0) {
-            return Err(refused(format!("period of {} s", self.period_s)));
+        if !(self.period_s > 0.0 && self.period_s <= MOST_PERIOD_S) {
+            let period_s = self.period_s;
+            return Err(refused(format!(
+                "period of {period_s} s, not above 0 and at most {MOST_PERIOD_S} s"
+            )));
         }
         Ok(())
     }
 }
 
 const _: () = assert!(ORDER == HARMONICS);
+
+/// Longest period, s: every millisecond of it is a row.
+pub const MOST_PERIOD_S: f64 = 1000.0;
 
 /// Points on which the bounds are taken; what lies between them is bounded.
 const POINTS: usize = 10_000;

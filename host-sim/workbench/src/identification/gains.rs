@@ -104,6 +104,7 @@ fn for_each_stand(
     mut take: impl FnMut(Stand),
 ) -> Result<(), TableError> {
     let mut stand: Option<Stand> = None;
+    let mut last_s = 0.0;
     loop {
         let row = reader.next_row()?;
         let still = row.as_ref().is_some_and(|row| match &stand {
@@ -114,8 +115,8 @@ fn for_each_stand(
             }
             None => true,
         });
-        // The end of the log ends a stand of any length.
-        let end_s = row.as_ref().map_or(f64::INFINITY, |row| row.t_s);
+        let end_s = row.as_ref().map_or(last_s, |row| row.t_s);
+        last_s = end_s;
         let ends = |stand: &mut Stand| !still || end_s - stand.from_s > 10.0 * STAND_S;
         if let Some(stand) = stand.take_if(ends)
             && stand.rows > 1.0
@@ -137,5 +138,27 @@ fn for_each_stand(
             }
             stand.rows += 1.0;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fmt::Write;
+
+    #[test]
+    fn the_end_of_a_log_is_no_stand() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        robot.joints.truncate(1);
+        let mut text = "t_s,q1_rad,i1_a\n".to_owned();
+        for k in 0..100 {
+            let t_s = 0.01 * f64::from(k);
+            writeln!(text, "{t_s},{t_s},1").expect("a string");
+        }
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("moves.csv");
+        std::fs::write(&path, text).expect("writes");
+        let gains = standstill_gains(&robot, &[path], 0.05).expect("a log");
+        assert_eq!(gains[0].stands, 0);
     }
 }

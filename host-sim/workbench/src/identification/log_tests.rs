@@ -321,6 +321,21 @@ fn bags_are_read_as_another_reader_reads_them() {
         // The whole file is one chunk.
         Err(refused) => assert!(refused.contains("cut.mcap"), "{refused}"),
     }
+    // Without stamps in the headers the times are those of the receipts.
+    let unstamped = here.path().join("unstamped.db3");
+    fs::copy(data.join("panda.db3"), &unstamped).expect("copies");
+    let bag = rusqlite::Connection::open(&unstamped).expect("a database");
+    let mut messages = bag.prepare("SELECT id, data FROM messages").expect("reads");
+    let messages = messages.query_map([], |row| Ok((row.get(0)?, row.get(1)?)));
+    for message in messages.expect("reads").map(Result::unwrap) {
+        let (id, mut data): (i64, Vec<u8>) = message;
+        data[4..12].fill(0);
+        let update = "UPDATE messages SET data = ?2 WHERE id = ?1";
+        bag.execute(update, (id, data)).expect("writes");
+    }
+    let (rows, _) = read(&unstamped, &panda).expect("a bag");
+    assert_eq!(rows.len(), 727);
+    assert!((0.0..0.1).contains(&(rows[1].t_s - rows[0].t_s)));
     let bag = fs::read(data.join("panda.db3")).expect("reads");
     let cut = here.path().join("cut.db3");
     fs::write(&cut, &bag[..bag.len() / 2]).expect("writes");

@@ -155,7 +155,11 @@ fn begin(files: &[PathBuf], topic: &str) -> Result<Option<Begun>, TableError> {
     let (sender, rest) = sync_channel(QUEUE);
     let (files, topic) = (files.to_owned(), topic.to_owned());
     std::thread::spawn(move || {
-        let mut to = Sink { sender, count: 0 };
+        let mut to = Sink {
+            sender,
+            count: 0,
+            origin_ns: 0,
+        };
         let mut read = files.iter().map(|file| match extension(file) {
             Some("db3") => read_sqlite(file, &topic, &mut to),
             _ => read_mcap(file, |message| match message.channel.topic == topic {
@@ -248,6 +252,8 @@ struct Sink {
     sender: SyncSender<Item>,
     /// Messages so far.
     count: u64,
+    /// Receipt of a first message that has no stamp, ns: in a bag without stamps it is zero of the time.
+    origin_ns: i64,
 }
 
 impl Sink {
@@ -257,7 +263,9 @@ impl Sink {
         let wrong = || TableError::at(path, self.count, format!("no {JOINT_STATE} in plain CDR"));
         let mut state = decode(data).or_else(|| columns(data)).ok_or_else(wrong)?;
         if state.stamp_ns == 0 && (self.count > 1 || state.plain) {
-            state.stamp_ns = received_ns;
+            state.stamp_ns = received_ns - self.origin_ns;
+        } else if state.stamp_ns == 0 {
+            self.origin_ns = received_ns;
         }
         Ok(self.sender.send(Ok(state)).is_ok())
     }

@@ -93,6 +93,12 @@ impl<const N: usize> Trajectory<N> {
     ///
     /// Errors: the first motion that does not.
     pub fn check(&self, robot: &Robot, period_s: f64) -> Result<(), Refusal> {
+        let duration_s = self.duration_s();
+        if duration_s > MOST_DURATION_S {
+            return Err(Refusal(format!(
+                "the trajectory takes {duration_s:.0} s, at most {MOST_DURATION_S} are played: are its times seconds from its begin?"
+            )));
+        }
         let every = |length_s: f64| -> Vec<f64> {
             let steps = 0..=(length_s / period_s).round() as usize;
             steps.map(|k| k as f64 * period_s).collect()
@@ -122,6 +128,8 @@ impl<const N: usize> Trajectory<N> {
     }
 }
 
+/// Longest motion, s: every millisecond of it is a row.
+pub const MOST_DURATION_S: f64 = 1e5;
 /// Excess over a limit, or over the range of positions, by a rounding in a file of six digits.
 const ROUNDED: f64 = 1e-6;
 /// Excess between two rows: a cubic through rows at the limits leaves these a little.
@@ -380,6 +388,10 @@ mod tests {
         let line = "row 501 at 0.500 s, joint 1: the position steps by 0.";
         let error = check(&hole).expect_err(line).to_string();
         assert!(error.starts_with(line), "{error}");
+        let mut stamped = table(1e-3);
+        stamped.iter_mut().skip(1).for_each(|row| row.0 += 1.7e9);
+        let error = check(&stamped).expect_err("times of a clock").to_string();
+        assert!(error.contains("at most 100000 are played"), "{error}");
         // Slow enough by its rows, but not on the way.
         let mut rows = table(1.0);
         rows.iter_mut()

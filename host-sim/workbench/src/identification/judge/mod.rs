@@ -47,6 +47,8 @@ const CENTRE_M: f64 = 0.03;
 const NOISE_SHARE: f64 = 0.9;
 /// Delay of the torque that is refused, and that is noted, s.
 const DELAY_S: (f64, f64) = (10e-3, 4e-3);
+/// Largest difference of the periods of logs of one rate, share.
+const SAME_PERIOD: f64 = 0.01;
 /// Standard deviations from which an estimate counts; analytic ones are about 2.5 times too small.
 const DEVIATIONS: f64 = 5.0;
 const ANALYTIC: f64 = 2.5;
@@ -171,7 +173,8 @@ pub fn judge(
     let mut sample = Thinned::new(ROWS);
     let mut sums = NormalEquations::new(&layout);
     let mut delays: Vec<Delay> = (0..joints).map(|_| Delay::default()).collect();
-    let (mut gain, mut period_s) = (1.0, judgement.period_s);
+    // The largest gain of noise; delays are counted in rows of the last log.
+    let (mut gain, period_s) = (0.0_f64, judgement.period_s);
     for path in logs {
         for_each_prepared(
             path,
@@ -180,8 +183,9 @@ pub fn judge(
             config,
             &mut judgement.notes,
             &mut |own, prepared| {
-                (gain, period_s) = (own.noise_gain(), own.period_s);
+                gain = gain.max(own.noise_gain());
                 let stride = own.stride();
+                let counts = (own.period_s / period_s - 1.0).abs() < SAME_PERIOD;
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
                     sample.push((prepared.states[row], tau));
@@ -192,7 +196,9 @@ pub fn judge(
                             sums.joints[joint].add(x, &[tau[joint]]);
                         }
                         let tau = |row: usize| prepared.tau.get(row * joints + joint).copied();
-                        delays[joint].add(x, qd, (row, stride, own.period_s), &tau);
+                        if counts {
+                            delays[joint].add(x, qd, (row, stride, period_s), &tau);
+                        }
                     }
                 }
             },
