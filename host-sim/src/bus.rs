@@ -7,10 +7,10 @@ use super::terminal::{SignalGuard, show, write_line};
 use super::{Failure, not_over, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
-use foretorque_link::bus::{Role, Wires, Wiring};
+use foretorque_link::bus::{BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Frame, Protocol};
 use foretorque_workbench::bus::{
-    Ask, BusChoice, BusError, JointEntry, Network, Profile, WiredNetwork, real_time,
+    Ask, BusChoice, BusError, Network, Profile, WiredNetwork, real_time,
 };
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::robot::Robot;
@@ -160,6 +160,23 @@ enum RoleName {
     Uart,
 }
 
+impl RoleName {
+    /// Reason why a drive does not work with a board in this place.
+    fn problem(self, joint: &BusJoint) -> Option<&'static str> {
+        match (self, joint.drive.protocol) {
+            (Self::Uart, Protocol::Moteus(_)) => None,
+            (Self::Uart, _) => Some("on serial ports the drive must be a moteus"),
+            (_, Protocol::Moteus(_)) => {
+                Some("its drive needs CAN-FD, which this board does not have")
+            }
+            (Self::InLine, Protocol::Cia402(_)) => {
+                Some("in line no torque can be added to the commands of CiA 402 drives")
+            }
+            _ => None,
+        }
+    }
+}
+
 /// Writes the drives of a profile for a board on their bus.
 pub(super) fn write_wiring(arguments: &WiringArguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
@@ -182,22 +199,28 @@ impl WiringArguments {
             RoleName::InLine => (Role::InLine, Wires::Can),
             RoleName::Uart => (Role::InLine, Wires::Uart),
         };
-        let fast = |joint: &JointEntry| matches!(joint.drive.protocol, Protocol::Moteus(_));
-        let fast = profile.joint.iter().position(fast);
-        if let Some(joint) = fast.filter(|_| wires == Wires::Can) {
-            let place = format!("{}: joint {}", profile.file, joint + 1);
-            let reason = "its drive needs CAN-FD, which this board does not have";
-            return Err(unusable(format!("{place}: {reason}")));
+        if let Some(only) = self.joint.filter(|only| !(1..=N).contains(only)) {
+            let reason = format!("--joint {only}: the arm has joints 1 to {N}");
+            return Err(unusable(reason));
         }
         let mut wiring = profile.wiring::<A, N, P>(role, wires)?;
-        if let Some(only) = self.joint {
-            if !(1..=N).contains(&only) {
-                let reason = format!("--joint {only}: the arm has joints 1 to {N}");
-                return Err(unusable(reason));
+        let chosen = |joint: &usize| self.joint.is_none_or(|only| only == *joint);
+        let mut buses = Vec::new();
+        for (joint, slot) in (1..).zip(&mut wiring.joints) {
+            if let Some(problem) = slot
+                .filter(|_| chosen(&joint))
+                .and_then(|own| self.role.problem(&own))
+            {
+                let file = &profile.file;
+                return Err(unusable(format!("{file}: joint {joint}: {problem}")));
             }
-            let joints = (1..).zip(&mut wiring.joints);
-            let others = joints.filter(|(joint, _)| *joint != only);
-            others.for_each(|(_, slot)| *slot = None);
+            *slot = slot.filter(|_| chosen(&joint));
+            buses.extend(slot.map(|own| own.bus));
+        }
+        let apart = buses.iter().any(|bus| *bus != buses[0]);
+        if apart && role == Role::InLine || wires == Wires::Uart && buses.len() > 1 {
+            let problem = "such a board has one line of drives: choose its joint with --joint";
+            return Err(unusable(format!("{}: {problem}", profile.file)));
         }
         let mut buffer = vec![0; Wiring::<N>::BYTES];
         let file = &profile.file;

@@ -3,7 +3,9 @@ use super::boards::on_arm;
 use super::bus::{Attended, prompt, wired};
 use super::disturbances::triple;
 use super::terminal::show;
-use super::{Failure, arguments as of, drive, excite, identify, positive, unsupported, unusable};
+use super::{
+    Failure, arguments as of, drive, excite, identify, positive, text_of, unsupported, unusable,
+};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque::learning::rated_payload;
@@ -13,9 +15,10 @@ use foretorque_workbench::bus::{
     BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
+use foretorque_workbench::files::WholeFile;
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
-use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
+use std::io::Write;
 use std::path::PathBuf;
 
 /// Check the profile of an arm on its bus step by step, below a tenth of its torque, then drive and identify it
@@ -216,16 +219,17 @@ impl Arguments {
         wanted: &[(StepName, Step)],
     ) -> Result<(), Failure> {
         let file = self.out.join("commission.json");
-        if self.step.is_some()
-            && let Ok(text) = std::fs::read_to_string(&file)
-        {
+        if self.step.is_some() && file.exists() {
             let refused = |problem: String| unusable(format!("{}: {problem}", file.display()));
+            let text = text_of(&file)?;
             let found: Vec<Found> =
                 serde_json::from_str(&text).map_err(|error| refused(error.to_string()))?;
             let (count, way) = (found.len(), "choose another --out");
             let other = format!("findings of {count} joints, the arm has {N}: {way}");
             arm.found = found.try_into().map_err(|_| refused(other))?;
         }
+        // A place that cannot be written is refused before the arm moves.
+        let mut place = WholeFile::create(&file)?;
         let weight = |mass| Payload::cube(mass, self.weight_com, 0.0, 0.0).body;
         arm.weight = self.weight_kg.map(weight);
         let mut outcome = Ok(());
@@ -240,7 +244,9 @@ impl Arguments {
             }
             show!("{name:?}: passed")?;
         }
-        write_json(&file, &arm.found.as_slice())?;
+        serde_json::to_writer_pretty(&mut place, arm.found.as_slice())?;
+        place.write_all(b"\n")?;
+        place.finish()?;
         Ok(outcome?)
     }
 }

@@ -80,13 +80,34 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
 fn the_wiring_of_a_board_is_written_from_the_profile() {
     use foretorque_link::bus::{Role, Wires, Wiring};
     let here = directory("wiring");
+    let profile = text(PROFILE);
+    let with_drives = |protocol: &str| {
+        let drive = |line: &str| match line.split_once("id = ") {
+            Some((_, rest)) => format!("drive = {{ protocol = {{ {protocol} }}, id = {rest}"),
+            None => line.to_owned(),
+        };
+        profile
+            .lines()
+            .map(|line| drive(line) + "\n")
+            .collect::<String>()
+    };
+    let moteus = "moteus = { kp = 5e4, kd = 5e3, watchdog_s = 0.02, resolution = \"int16\" }";
+    write(here.join("moteus.toml"), with_drives(moteus));
+    let cia402 = "cia402 = { mode = \"position\", counts_per_turn = 1e6, rated_torque = 40.0 }";
+    let slow = with_drives(cia402).replace("rate_hz = 1000.0", "rate_hz = 500.0");
+    write(here.join("cia402.toml"), slow);
     let cases = [
         ("master", Role::Master, Wires::Can, ""),
-        ("in-line", Role::InLine, Wires::Can, ""),
+        ("in-line", Role::InLine, Wires::Can, " --joint 2"),
         ("uart", Role::InLine, Wires::Uart, " --joint 2"),
     ];
     for (role, expected, wires, more) in cases {
-        let command = format!("wiring --profile {PROFILE} --role {role}{more} --out board.bin");
+        let profile = if wires == Wires::Uart {
+            "moteus.toml"
+        } else {
+            PROFILE
+        };
+        let command = format!("wiring --profile {profile} --role {role}{more} --out board.bin");
         assert_contains(&succeeds(&here, &command), "0x08080000 board.bin");
         let mut bytes = fs::read(here.join("board.bin")).expect("it was written");
         bytes.resize(Wiring::<6>::BYTES, 0xff);
@@ -98,8 +119,29 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         bytes[5] ^= 1;
         assert_eq!(Wiring::<6>::decode(&bytes), None);
     }
-    let wiring = format!("wiring --profile {PROFILE} --role uart --joint 7 --out x");
-    refused(&here, &wiring, "--joint 7: the arm has joints 1 to 6");
+    for (profile, role, problem) in [
+        (
+            PROFILE,
+            "uart --joint 7",
+            "--joint 7: the arm has joints 1 to 6",
+        ),
+        (
+            PROFILE,
+            "uart",
+            "joint 1: on serial ports the drive must be a moteus",
+        ),
+        ("moteus.toml", "uart", "choose its joint with --joint"),
+        ("moteus.toml", "in-line", "joint 1: its drive needs CAN-FD"),
+        (PROFILE, "in-line", "choose its joint with --joint"),
+        (
+            "cia402.toml",
+            "in-line --joint 3",
+            "joint 3: in line no torque",
+        ),
+    ] {
+        let wiring = format!("wiring --profile {profile} --role {role} --out x");
+        refused(&here, &wiring, problem);
+    }
 }
 
 #[test]

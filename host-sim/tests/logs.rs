@@ -311,11 +311,11 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     for (gravity, words) in [
         (
             Vector3::new(0.0, 3.355, -9.218),
-            "gravity has another direction than in the description: with gravity_m_s2 = [0.0, 3.",
+            "gravity is another one than in the description: with gravity_m_s2 = [0.0, 3.",
         ),
         (
             Vector3::new(0.0, 0.0, 9.81),
-            "gravity has another direction than in the description: with gravity_m_s2 = [0.0, 0.",
+            "gravity is another one than in the description: with gravity_m_s2 = [0.0, 0.",
         ),
         (Vector3::zeros(), "the torques are without gravity"),
     ] {

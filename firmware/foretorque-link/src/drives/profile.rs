@@ -34,6 +34,7 @@ pub enum Protocol {
     /// CyberGear: extended identifier with the torque in bits 8 to 23.
     CyberGear(Ranges),
     /// RobStride: the frames of CyberGear, other ranges.
+    #[serde(rename = "robstride", alias = "rob-stride")]
     RobStride(Ranges),
     /// moteus registers over CAN-FD or its UART text form.
     Moteus(Moteus),

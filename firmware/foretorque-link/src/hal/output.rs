@@ -40,12 +40,14 @@ fn bounded(level: f32) -> f32 {
     }
 }
 
-/// Supported converters. SPI mode 0, most significant bit first.
+/// Supported converters, most significant bit first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DacModel {
-    /// 12 bits, 16-bit frames (Microchip DS21897, register 5-1): channel A, unbuffered reference, gain 1, active.
+    /// 12 bits, 16-bit frames (Microchip DS21897, register 5-1): channel A, unbuffered reference, gain 1, active. SPI mode 0:
+    /// it reads at the rising edge.
     Mcp4921,
-    /// 16 bits, 24-bit frames (Texas Instruments SLAS430, table 1): written to and put out on channel A.
+    /// 16 bits, 24-bit frames (Texas Instruments SLAS430, table 1): written to and put out on channel A. SPI mode 1: it reads
+    /// at the falling edge.
     Dac8552A,
     /// As [`Dac8552A`](Self::Dac8552A), on channel B.
     Dac8552B,

@@ -265,4 +265,29 @@ mod tests {
         let moteus = bits(Frame::extended(0x8001, &[0; 13]).into_fd(0x50));
         assert!((60.0..120.0).contains(&moteus), "{moteus}");
     }
+
+    #[test]
+    fn the_drives_of_the_pages_are_read() {
+        #[derive(Deserialize)]
+        struct Line {
+            drive: DriveProfile,
+        }
+        let pages = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs");
+        let pages = std::fs::read_dir(pages).expect("a directory");
+        let mut count = 0;
+        let pages = pages.map(|page| page.expect("an entry").path());
+        for page in pages.filter(|page| page.extension().is_some_and(|end| end == "md")) {
+            let text = std::fs::read_to_string(&page).expect("a page");
+            for line in text
+                .lines()
+                .filter(|line| line.starts_with("drive = { protocol"))
+            {
+                let read = toml::from_str::<Line>(line);
+                let read = read.unwrap_or_else(|error| panic!("{}: {error}", page.display()));
+                assert_eq!(read.drive.check(), Ok(()), "{}", page.display());
+                count += 1;
+            }
+        }
+        assert!(count >= 6, "{count}");
+    }
 }

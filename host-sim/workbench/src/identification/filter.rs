@@ -1,6 +1,6 @@
-//! Zero-phase filtering of tables, and the removal of spikes.
+//! Zero-phase filtering of tables, Fourier series of periodic ones, and the removal of spikes.
 
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 /// A Butterworth low pass of order 4 that runs forwards and then backwards: no delay, twice the attenuation.
 ///
@@ -166,6 +166,64 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
+/// Fourier series of the columns of a table that holds one period: mean, then cosine and sine of each harmonic.
+pub(super) struct Harmonics {
+    width: usize,
+    coefficients: Vec<f64>,
+    /// sin and cos of each phase.
+    turn: Vec<(f64, f64)>,
+}
+
+impl Harmonics {
+    pub(super) fn of(table: &[f64], width: usize, count: usize) -> Self {
+        let phases = table.len() / width;
+        let turn = |phase: usize| (TAU * phase as f64 / phases as f64).sin_cos();
+        let turn: Vec<(f64, f64)> = (0..phases).map(turn).collect();
+        let mut coefficients = vec![0.0; (2 * count + 1) * width];
+        for (phase, row) in table.chunks_exact(width).enumerate() {
+            for (k, place) in coefficients.chunks_exact_mut(width).enumerate() {
+                let (sin, cos) = turn[k.div_ceil(2) * phase % phases];
+                let scale = if k == 0 { 1.0 } else { 2.0 } / phases as f64;
+                let factor = scale * if k % 2 == 1 || k == 0 { cos } else { sin };
+                for (sum, value) in place.iter_mut().zip(row) {
+                    *sum += factor * value;
+                }
+            }
+        }
+        Self {
+            width,
+            coefficients,
+            turn,
+        }
+    }
+
+    /// The series, or its first or second derivative over time, at every phase.
+    pub(super) fn evaluate(&self, derivative: i32, period_s: f64) -> Vec<f64> {
+        let phases = self.turn.len();
+        let mut table = vec![0.0; phases * self.width];
+        for (phase, row) in table.chunks_exact_mut(self.width).enumerate() {
+            for (k, own) in self.coefficients.chunks_exact(self.width).enumerate() {
+                let harmonic = k.div_ceil(2);
+                let (sin, cos) = self.turn[harmonic * phase % phases];
+                let w = TAU * harmonic as f64 / period_s;
+                let even = k % 2 == 1 || k == 0;
+                let factor = match (derivative, even) {
+                    (0, true) => cos,
+                    (0, false) => sin,
+                    (1, true) => -w * sin,
+                    (1, false) => w * cos,
+                    (_, true) => -w * w * cos,
+                    (_, false) => -w * w * sin,
+                };
+                for (value, own) in row.iter_mut().zip(own) {
+                    *value += factor * own;
+                }
+            }
+        }
+        table
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -228,5 +286,27 @@ mod tests {
         let (out, count) = despiked(&table, 1, 7);
         assert!((2..12).contains(&count), "{count}");
         assert!(out.iter().zip(&clean).all(|(a, b)| (a - b).abs() < 0.1));
+    }
+
+    #[test]
+    fn harmonics_are_exact_and_noise_between_them_goes() {
+        let (phases, period_s) = (200, 4.0);
+        let w = TAU / period_s;
+        let t = |phase: usize| period_s * phase as f64 / phases as f64;
+        let wave = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
+        let table: Vec<f64> = (0..phases)
+            .map(|phase| wave(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
+            .collect();
+        let series = Harmonics::of(&table, 1, 5);
+        let exact: [&dyn Fn(f64) -> f64; 3] = [
+            &wave,
+            &|t| w * (w * t).cos() + 1.2 * w * (3.0 * w * t).sin(),
+            &|t| -w * w * (w * t).sin() + 3.6 * w * w * (3.0 * w * t).cos(),
+        ];
+        for (order, exact) in (0..).zip(exact) {
+            for (phase, value) in series.evaluate(order, period_s).iter().enumerate() {
+                assert!((value - exact(t(phase))).abs() < 1e-9, "{order} {phase}");
+            }
+        }
     }
 }

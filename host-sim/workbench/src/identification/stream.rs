@@ -2,7 +2,7 @@
 
 use super::clock::GAP_PERIODS;
 use super::columns::Layout;
-use super::filter::{despiked, median};
+use super::filter::{Harmonics, despiked, median};
 use super::log::{LogReader, LogRow};
 use super::normal::SpeedSums;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch, states};
@@ -153,12 +153,17 @@ pub(super) fn folded(
             break;
         }
     }
-    let fold = fold.ok_or_else(|| TableError::empty(path))?;
-    if fold.count.contains(&0.0) {
+    let mut fold = fold.ok_or_else(|| TableError::empty(path))?;
+    let run_in = if fold.leave_run_in() {
+        ", the first left out"
+    } else {
+        ""
+    };
+    if fold.sums.count.contains(&0.0) {
         let problem = format!("the log does not show a whole period of {period_s} s");
         return Err(refused(path, problem));
     }
-    let phases = fold.count.len();
+    let phases = fold.sums.count.len();
     let Some(late_rows) = fold.repeats.late_rows() else {
         let problem = format!(
             "the positions do not repeat every {period_s} s: cut off what is not the excitation, or give its period"
@@ -174,8 +179,8 @@ pub(super) fn folded(
     let of_motion = harmonics(config.motion_hz);
     let of_torque = harmonics(config.torque_hz.unwrap_or(f64::INFINITY));
     notes.push(format!(
-        "{name}: {:.2} periods of {period_s} s folded into one; motion on {of_motion} harmonics, torque and regressor on {of_torque}",
-        fold.count.iter().sum::<f64>() / phases as f64
+        "{name}: {:.2} periods of {period_s} s folded into one{run_in}; motion on {of_motion} harmonics, torque and regressor on {of_torque}",
+        fold.sums.count.iter().sum::<f64>() / phases as f64
     ));
     let mut preparation = fold.preparation(config);
     preparation.folded_stride = Some((phases / (2 * of_torque + 1)).max(1));
@@ -187,15 +192,43 @@ pub(super) fn folded(
     Ok((preparation, prepared))
 }
 
+/// Periods from which the first one is left out: the arm runs in.
+const PERIODS: usize = 3;
+
+/// Sums at each phase.
+struct PhaseSums {
+    count: Vec<f64>,
+    t_s: Vec<f64>,
+    /// Positions, torques, and torques without spikes.
+    tables: [Vec<f64>; 3],
+}
+
+impl PhaseSums {
+    fn zeros(phases: usize, joints: usize) -> Self {
+        Self {
+            count: vec![0.0; phases],
+            t_s: vec![0.0; phases],
+            tables: [(); 3].map(|()| vec![0.0; phases * joints]),
+        }
+    }
+
+    /// All sums.
+    fn each(&mut self) -> impl Iterator<Item = &mut f64> {
+        let tables = self.tables.iter_mut().flatten();
+        self.count.iter_mut().chain(&mut self.t_s).chain(tables)
+    }
+}
+
 /// Sums over all periods at each phase.
 struct Fold {
     start_s: f64,
     row_s: f64,
     joints: usize,
-    count: Vec<f64>,
-    t_s: Vec<f64>,
-    /// Positions, torques, and torques without spikes.
-    tables: [Vec<f64>; 3],
+    sums: PhaseSums,
+    /// Those of the first period, once it is over.
+    first: Option<PhaseSums>,
+    /// Rows so far, lost ones included.
+    rows: usize,
     spikes: usize,
     /// Positions of the period before, phase by phase.
     period_before: Vec<Option<f64>>,
@@ -252,9 +285,9 @@ impl Fold {
             start_s: first[0].t_s,
             row_s,
             joints,
-            count: vec![0.0; phases],
-            t_s: vec![0.0; phases],
-            tables: [(); 3].map(|()| vec![0.0; phases * joints]),
+            sums: PhaseSums::zeros(phases, joints),
+            first: None,
+            rows: 0,
             spikes: 0,
             period_before: vec![None; phases * joints],
             row_before: Vec::new(),
@@ -285,9 +318,15 @@ impl Fold {
                     self.row_s
                 ))));
             }
-            let phase = place.round() as usize % self.count.len();
-            self.count[phase] += 1.0;
-            self.t_s[phase] += row.t_s;
+            let (place, phases) = (place.round() as usize, self.sums.count.len());
+            self.rows = place + 1;
+            if place >= phases && self.first.is_none() {
+                let others = PhaseSums::zeros(phases, joints);
+                self.first = Some(std::mem::replace(&mut self.sums, others));
+            }
+            let phase = place % phases;
+            self.sums.count[phase] += 1.0;
+            self.sums.t_s[phase] += row.t_s;
             for (joint, &q) in row.q.iter().enumerate() {
                 let last = self.period_before[phase * joints + joint].replace(q);
                 if let (Some(last), Some(row)) = (last, self.row_before.get(joint)) {
@@ -300,7 +339,8 @@ impl Fold {
                 sums.for_each(|(sum, value)| *sum += value);
             }
             self.row_before = row.q.to_vec();
-            for (table, values) in self.tables.iter_mut().zip([&row.q[..], &row.tau, clean]) {
+            let tables = self.sums.tables.iter_mut();
+            for (table, values) in tables.zip([&row.q[..], &row.tau, clean]) {
                 let sums = &mut table[phase * joints..][..joints];
                 sums.iter_mut()
                     .zip(values)
@@ -310,21 +350,31 @@ impl Fold {
         Ok(())
     }
 
+    /// Leaves the first period out where enough others are there.
+    fn leave_run_in(&mut self) -> bool {
+        let leaves = self.rows >= PERIODS * self.sums.count.len();
+        if let Some(mut first) = self.first.take().filter(|_| !leaves) {
+            let sums = self.sums.each().zip(first.each());
+            sums.for_each(|(sum, first)| *sum += *first);
+        }
+        leaves
+    }
+
     fn preparation(&self, config: &PrepareConfig) -> Preparation {
         Preparation::new(config, self.start_s, self.row_s, [false; 2])
     }
 
     /// The mean period, its motion on harmonics.
-    fn period(mut self, harmonics: usize, period_s: f64) -> Prepared {
-        let joints = self.joints;
-        for (phase, count) in self.count.iter().enumerate() {
-            self.t_s[phase] /= count;
-            for table in &mut self.tables {
+    fn period(self, harmonics: usize, period_s: f64) -> Prepared {
+        let (joints, mut folded) = (self.joints, self.sums);
+        for (phase, count) in folded.count.iter().enumerate() {
+            folded.t_s[phase] /= count;
+            for table in &mut folded.tables {
                 let sums = &mut table[phase * joints..][..joints];
                 sums.iter_mut().for_each(|sum| *sum /= count);
             }
         }
-        let [q, tau, clean] = self.tables;
+        let [q, tau, clean] = folded.tables;
         let series = Harmonics::of(&q, joints, harmonics);
         let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
         Prepared {
@@ -335,93 +385,52 @@ impl Fold {
             tau,
             clean,
             spikes: self.spikes,
-            core: 0..self.count.len(),
-            t_s: self.t_s,
+            core: 0..folded.count.len(),
+            t_s: folded.t_s,
         }
-    }
-}
-
-/// Fourier series of the columns of a table that holds one period: mean, then cosine and sine of each harmonic.
-struct Harmonics {
-    width: usize,
-    coefficients: Vec<f64>,
-    /// sin and cos of each phase.
-    turn: Vec<(f64, f64)>,
-}
-
-impl Harmonics {
-    fn of(table: &[f64], width: usize, count: usize) -> Self {
-        let phases = table.len() / width;
-        let turn = |phase: usize| (TAU * phase as f64 / phases as f64).sin_cos();
-        let turn: Vec<(f64, f64)> = (0..phases).map(turn).collect();
-        let mut coefficients = vec![0.0; (2 * count + 1) * width];
-        for (phase, row) in table.chunks_exact(width).enumerate() {
-            for (k, place) in coefficients.chunks_exact_mut(width).enumerate() {
-                let (sin, cos) = turn[k.div_ceil(2) * phase % phases];
-                let scale = if k == 0 { 1.0 } else { 2.0 } / phases as f64;
-                let factor = scale * if k % 2 == 1 || k == 0 { cos } else { sin };
-                for (sum, value) in place.iter_mut().zip(row) {
-                    *sum += factor * value;
-                }
-            }
-        }
-        Self {
-            width,
-            coefficients,
-            turn,
-        }
-    }
-
-    /// The series, or its first or second derivative over time, at every phase.
-    fn evaluate(&self, derivative: i32, period_s: f64) -> Vec<f64> {
-        let phases = self.turn.len();
-        let mut table = vec![0.0; phases * self.width];
-        for (phase, row) in table.chunks_exact_mut(self.width).enumerate() {
-            for (k, own) in self.coefficients.chunks_exact(self.width).enumerate() {
-                let harmonic = k.div_ceil(2);
-                let (sin, cos) = self.turn[harmonic * phase % phases];
-                let w = TAU * harmonic as f64 / period_s;
-                let even = k % 2 == 1 || k == 0;
-                let factor = match (derivative, even) {
-                    (0, true) => cos,
-                    (0, false) => sin,
-                    (1, true) => -w * sin,
-                    (1, false) => w * cos,
-                    (_, true) => -w * w * cos,
-                    (_, false) => -w * w * sin,
-                };
-                for (value, own) in row.iter_mut().zip(own) {
-                    *value += factor * own;
-                }
-            }
-        }
-        table
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::columns::ColumnSet;
     use super::*;
+    use std::fmt::Write;
 
     #[test]
-    fn harmonics_are_exact_and_noise_between_them_goes() {
-        let (phases, period_s) = (200, 4.0);
-        let w = TAU / period_s;
-        let t = |phase: usize| period_s * phase as f64 / phases as f64;
-        let wave = |t: f64| 0.3 + (w * t).sin() - 0.4 * (3.0 * w * t).cos();
-        let table: Vec<f64> = (0..phases)
-            .map(|phase| wave(t(phase)) + 0.1 * (40.0 * w * t(phase)).sin())
-            .collect();
-        let series = Harmonics::of(&table, 1, 5);
-        let exact: [&dyn Fn(f64) -> f64; 3] = [
-            &wave,
-            &|t| w * (w * t).cos() + 1.2 * w * (3.0 * w * t).sin(),
-            &|t| -w * w * (w * t).sin() + 3.6 * w * w * (3.0 * w * t).cos(),
-        ];
-        for (order, exact) in (0..).zip(exact) {
-            for (phase, value) in series.evaluate(order, period_s).iter().enumerate() {
-                assert!((value - exact(t(phase))).abs() < 1e-9, "{order} {phase}");
+    fn the_first_of_three_periods_is_left_out() {
+        let here = tempfile::tempdir().expect("creates");
+        let mut robot = Robot::load("ur5").expect("built in");
+        robot.joints.truncate(1);
+        let columns = ColumnSet::default();
+        let layout = Layout::new(&robot, &columns);
+        let config = PrepareConfig {
+            motion_hz: 10.0,
+            torque_hz: None,
+            still_rad_s: PrepareConfig::STILL_RAD_S,
+        };
+        // The torque settles in the first second.
+        let torques = |periods: u32| {
+            let path = here.path().join("log.csv");
+            let mut text = "t_s,q1_rad,tau1_nm\n".to_owned();
+            for k in 0..200 * periods {
+                let t_s = 0.02 * f64::from(k);
+                let (q, run_in) = ((TAU * t_s / 4.0).sin(), 5.0 * (-4.0 * t_s).exp());
+                writeln!(text, "{t_s},{q},{}", 2.0 * q + run_in).expect("a string");
             }
-        }
+            std::fs::write(&path, text).expect("writes");
+            let mut notes = Vec::new();
+            let (_, prepared) =
+                folded(&path, &robot, &layout, &config, 4.0, &mut notes).expect("a log");
+            let rows = prepared.tau.iter().zip(&prepared.states);
+            let apart = rows.map(|(tau, state)| (tau - 2.0 * state.q[0]).abs());
+            (apart.fold(0.0, f64::max), notes.concat())
+        };
+        let (apart, notes) = torques(3);
+        assert!(apart < 1e-3, "{apart}");
+        assert!(notes.contains("2.00 periods of 4 s folded into one, the first left out"));
+        let (apart, notes) = torques(2);
+        assert!(apart > 0.5, "{apart}");
+        assert!(notes.contains("2.00 periods of 4 s folded into one;"));
     }
 }

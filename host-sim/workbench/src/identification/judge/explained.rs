@@ -340,11 +340,17 @@ fn other_gravity(
             0.0 => seen,
             size => seen + hidden * (rest / size),
         };
-        let gravity = found * (described / found.norm());
+        // Masses that are wrong change the size, too; beyond that it is another planet's, or none was described.
+        let (low, high) = SOUND_SCALE;
+        let ratio = seen.norm() / described_seen.norm();
+        let gravity = match (low..=high).contains(&ratio) {
+            true => found * (described / found.norm()),
+            false => found,
+        };
         // Adding 0 takes the sign off a zero.
         let [x, y, z] = gravity.map(|g| (10.0 * g).round() / 10.0 + 0.0).into();
         let text = format!(
-            "gravity has another direction than in the description: with gravity_m_s2 = [{x:.1}, {y:.1}, {z:.1}] the torques follow it"
+            "gravity is another one than in the description: with gravity_m_s2 = [{x:.1}, {y:.1}, {z:.1}] the torques follow it"
         );
         (gravity, text)
     };

@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 const PAGE_POINTS: usize = 4000;
 
 /// Flags of the torque that report a limit or a fault, with their meanings.
-const FLAGS: [(Flags, &str); 11] = [
+const FLAGS: [(Flags, &str); 13] = [
     (Flags::SATURATED, "torque cut to its limit"),
     (Flags::SLEWED, "torque held back by its slew limit"),
     (Flags::NETWORK_CLIPPED, "network share cut to its bound"),
@@ -39,6 +39,8 @@ const FLAGS: [(Flags, &str); 11] = [
     (Flags::DESIRED_CLAMPED, "desired motion cut to its limits"),
     (Flags::NO_MEASUREMENT, "sample without measurement"),
     (Flags::WITHDRAWN, "torque on its way to zero"),
+    (Flags::PAYLOAD_CLIPPED, "payload's torque cut to its bound"),
+    (Flags::GRAVITY_LOST, "nothing carries a joint"),
 ];
 
 /// The figures of `report.json`. Nothing in it depends on the clock on the wall.
