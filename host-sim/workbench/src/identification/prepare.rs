@@ -225,6 +225,12 @@ impl Preparation {
         periods(&self.motion, if derived { 1.5 } else { 0.25 }) + periods(&self.torque, 0.25)
     }
 
+    /// Rows over which the filter of the torques spreads a step to each side: half a period of its cut-off.
+    pub(super) fn smear(&self) -> usize {
+        let rows = |filter: &Butterworth| 0.5 / (filter.cutoff_hz * self.period_s);
+        self.torque.as_ref().map_or(0.0, rows).ceil() as usize
+    }
+
     /// Stride of independent rows.
     ///
     /// White noise through this filter has the variance of a band of 2 × 0.898 cut-offs (∫ dx / (1 + x⁸)² = 0.898). Rows at

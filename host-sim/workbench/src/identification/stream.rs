@@ -12,7 +12,6 @@ use crate::Refusal;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use crate::table::TableError;
-use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
@@ -395,6 +394,7 @@ impl Fold {
 mod tests {
     use super::super::columns::ColumnSet;
     use super::*;
+    use std::f64::consts::TAU;
     use std::fmt::Write;
 
     #[test]

@@ -257,10 +257,12 @@ fn resolution(rows: &[LogRow]) -> Vec<f64> {
         .collect()
 }
 
-/// Rows that hold the positions of a slower sensor.
+/// Rows that hold the readings of a slower sensor.
 struct Held {
     /// Rows of one reading of the sensor.
     times: usize,
+    /// The torques of these rows repeat, too.
+    torques: bool,
     last: Option<LogRow>,
     /// Rows since the last new one.
     count: usize,
@@ -273,8 +275,21 @@ impl Held {
     const ALIKE: f64 = 0.8;
 
     fn of(rows: &[LogRow]) -> Self {
-        let equal = rows.chunk_by(|a, b| a.q == b.q);
-        let mut runs: Vec<usize> = equal.map(<[LogRow]>::len).collect();
+        let with_torques = |a: &LogRow, b: &LogRow| (a.q, a.tau) == (b.q, b.tau);
+        let alone = |a: &LogRow, b: &LogRow| a.q == b.q;
+        let positions = Self::times(rows, alone).filter(|_| Self::are_held(rows));
+        let times = Self::times(rows, with_torques).or(positions);
+        Self {
+            times: times.unwrap_or(1),
+            torques: positions.is_none(),
+            last: None,
+            count: 0,
+        }
+    }
+
+    /// Rows of one reading, where most runs of `same` rows are alike.
+    fn times(rows: &[LogRow], same: impl Fn(&LogRow, &LogRow) -> bool) -> Option<usize> {
+        let mut runs: Vec<usize> = rows.chunk_by(same).map(<[LogRow]>::len).collect();
         runs.sort_unstable();
         let median = runs.get(runs.len() / 2).copied().unwrap_or(1);
         let spread = 1 + median / 10;
@@ -284,17 +299,28 @@ impl Held {
             alike.count() as f64 >= Self::ALIKE * runs.len() as f64
         };
         let slower = runs.len() >= Self::RUNS && (median - spread.min(median)..=median).any(alike);
-        Self {
-            times: if slower { median } else { 1 },
-            last: None,
-            count: 0,
+        (slower && median > 1).then_some(median)
+    }
+
+    /// Positions that do not change were not read: where they change, most changes are of more than one step of the encoder.
+    fn are_held(rows: &[LogRow]) -> bool {
+        let steps = resolution(rows);
+        let (mut changes, mut wide) = (0.0, 0.0);
+        for pair in rows.windows(2).filter(|pair| pair[0].q != pair[1].q) {
+            let apart = pair[1].q.iter().zip(pair[0].q.iter());
+            let mut apart = apart
+                .zip(&steps)
+                .map(|((to, from), step)| (to - from).abs() / step);
+            changes += 1.0;
+            wide += f64::from(apart.any(|steps| steps > 1.5));
         }
+        wide >= Self::ALIKE * changes
     }
 
     /// The row is a reading of its own. Values that stay for two readings are those of a resting arm.
     fn is_new(&mut self, row: &LogRow) -> bool {
         self.count += 1;
-        let same = |last: &LogRow| last.q == row.q;
+        let same = |last: &LogRow| last.q == row.q && (!self.torques || last.tau == row.tau);
         let rests = self.times > 1 && self.count >= 2 * self.times;
         let new = self.times == 1 || rests || !self.last.as_ref().is_some_and(same);
         if new {
@@ -407,6 +433,23 @@ pub(super) mod tests {
             let (rows, _, note) = kept(read);
             assert_eq!((rows.len(), note), (400, None));
         }
+        // Encoders whose steps are as long as the way in two rows.
+        let here = tempfile::tempdir().expect("a directory for temporary files");
+        let path = here.path().join("coarse.csv");
+        let mut text = "t_s,q1_rad,tau1_nm\n".to_owned();
+        for k in 0..400 {
+            let (t_s, steps) = (2.5e-3 * f64::from(k), k * 10 / 19);
+            text += &format!(
+                "{t_s},{},{}\n",
+                1.5e-3 * f64::from(steps),
+                0.01 * f64::from(k % 7)
+            );
+        }
+        std::fs::write(&path, text).expect("it can be written");
+        let mut robot = Robot::load("ur5").expect("built in");
+        robot.joints.truncate(1);
+        let log = WholeLog::open(&path, &robot).expect("a sound log");
+        assert_eq!(log.preview.len(), 400);
     }
 
     #[test]

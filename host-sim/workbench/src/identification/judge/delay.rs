@@ -1,6 +1,7 @@
 //! Delay of the torques behind the positions.
 
 use super::{ANALYTIC, DELAY_S, FAST_RAD_S, Judgement};
+use crate::dynamics::Motion;
 use crate::identification::columns::Layout;
 use crate::metrics::scaled;
 use nalgebra::{DMatrix, DVector};
@@ -51,13 +52,36 @@ fn step_rows(period_s: f64) -> usize {
     ((LONGEST_S / TRIED as f64 / period_s).round() as usize).max(1)
 }
 
+/// Rows in which a joint is fast, and was and will be for `reach` rows: at a reversal it sticks, where friction is no function
+/// of its speed, and a filter smears that over its length.
+pub(super) fn fast_rows(states: &[Motion], joint: usize, reach: usize) -> Vec<bool> {
+    let slow = states
+        .iter()
+        .map(|state| state.qd[joint].abs() <= FAST_RAD_S);
+    let slow: Vec<usize> = slow
+        .enumerate()
+        .filter(|row| row.1)
+        .map(|row| row.0)
+        .collect();
+    let near = |row: usize| {
+        let next = slow.partition_point(|slow| *slow < row);
+        let beside = [next.checked_sub(1), Some(next)];
+        let mut beside = beside
+            .into_iter()
+            .flatten()
+            .filter_map(|place| slow.get(place));
+        beside.any(|slow| slow.abs_diff(row) <= reach)
+    };
+    (0..states.len()).map(|row| !near(row)).collect()
+}
+
 impl Delay {
     /// Adds row `row` of a log with a row every `period_s` with the torques `tau_nm` around it; an offset and friction that
-    /// falls with the speed stand beside the columns `x`. A slow row, or one without all torques, ends an average.
+    /// falls with the speed stand beside the columns `x`. A row that is not `fast`, or one without all torques, ends an average.
     pub(super) fn add(
         &mut self,
         x: &[f64],
-        qd: f64,
+        (qd, fast): (f64, bool),
         (row, stride, period_s): (usize, usize, f64),
         tau_nm: &dyn Fn(usize) -> Option<f64>,
     ) {
@@ -66,7 +90,7 @@ impl Delay {
         let torque = |first: usize| -> Option<Vec<f64>> {
             (0..=2 * TRIED).map(|k| tau_nm(first + k * step)).collect()
         };
-        let torques = first.and_then(torque).filter(|_| qd.abs() > FAST_RAD_S);
+        let torques = first.and_then(torque).filter(|_| fast);
         let Some(torques) = torques else {
             self.last.clear();
             return;
@@ -193,14 +217,37 @@ fn vertex(costs: &DVector<f64>) -> (f64, f64) {
     )
 }
 
+/// Scatter of the delays of the joints over what their deviations let expect, 1 at least [Birge 1932]: a true delay is that
+/// of all joints, what friction does at slow speed is each joint's own.
+fn scatter<'a>(joints: impl Iterator<Item = &'a (DVector<f64>, f64)>) -> f64 {
+    let own = |(rests, free): &(DVector<f64>, f64)| {
+        let (mean, deviation) = vertex(&rests.map(|rest| 0.5 * free * rest.ln()));
+        (mean, deviation.powi(-2))
+    };
+    let joints: Vec<(f64, f64)> = joints.map(own).collect();
+    let all: f64 = joints.iter().map(|(_, weight)| weight).sum();
+    let mean = joints
+        .iter()
+        .map(|(mean, weight)| mean * weight)
+        .sum::<f64>()
+        / all;
+    let squares = joints
+        .iter()
+        .map(|(own, weight)| (own - mean).powi(2) * weight);
+    let free = joints.len().saturating_sub(1).max(1) as f64;
+    (squares.sum::<f64>() / free).sqrt().max(1.0)
+}
+
 /// Delay of the torques behind the positions, common to all joints, of rows `period_s` apart.
 pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay], period_s: f64) {
     // Of a joint alone, where it moved for long enough.
-    let variance = |delay: &Delay| {
-        let (rests, free) = delay.sums(None)?.rests()?;
-        (free >= SURE).then(|| rests.min() / free)
-    };
-    let variances: Vec<Option<f64>> = delays.iter().map(variance).collect();
+    let alone = |delay: &Delay| delay.sums(None)?.rests().filter(|(_, free)| *free >= SURE);
+    let alone: Vec<_> = delays.iter().map(alone).collect();
+    let variance = |(rests, free): &(DVector<f64>, f64)| rests.min() / free;
+    let variances: Vec<_> = alone
+        .iter()
+        .map(|joint| joint.as_ref().map(variance))
+        .collect();
     let parts = [None].into_iter().chain((0..PARTS).map(Some));
     let costs = parts.map(|without| costs(delays, &variances, layout, without));
     let Some(costs) = costs.collect::<Option<Vec<_>>>() else {
@@ -213,7 +260,8 @@ pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay]
     let centre = without.iter().sum::<f64>() / PARTS as f64;
     let squares: f64 = without.iter().map(|one| (one - centre).powi(2)).sum();
     let jackknife = (squares * (PARTS - 1) as f64 / PARTS as f64).sqrt();
-    let (mean, deviation) = (mean * step_s, analytic.max(jackknife) * step_s);
+    let deviation = analytic.max(jackknife) * scatter(alone.iter().flatten());
+    let (mean, deviation) = (mean * step_s, deviation * step_s);
     if deviation > LONGEST_S {
         return;
     }
@@ -228,5 +276,39 @@ pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay]
             1e3 * deviation
         );
         judgement.find(refuses, text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamics::PerJoint;
+
+    #[test]
+    fn delays_that_differ_from_joint_to_joint_are_uncertain() {
+        // Parabolas about a delay in steps.
+        let joint = |steps: f64| {
+            let rest =
+                |k: usize, _: usize| (1e-3 * (k as f64 - TRIED as f64 - steps).powi(2)).exp();
+            let rests = DMatrix::from_fn(2 * TRIED + 1, 1, rest)
+                .column(0)
+                .into_owned();
+            (rests, 200.0)
+        };
+        let of = |delays: [f64; 3]| scatter(delays.map(joint).iter());
+        assert_eq!(of([4.0, 4.1, 3.9]), 1.0);
+        assert!(of([-9.0, -2.0, 8.0]) > 1.5);
+    }
+
+    #[test]
+    fn rows_beside_a_slow_one_are_not_fast() {
+        let speeds = [1.0, 1.0, 1.0, 0.1, 1.0, 1.0, 1.0];
+        let state = |qd: f64| Motion {
+            q: PerJoint::repeat(1, 0.0),
+            qd: PerJoint::repeat(1, qd),
+            qdd: PerJoint::repeat(1, 0.0),
+        };
+        let fast = fast_rows(&speeds.map(state), 0, 1);
+        assert_eq!(fast, [true, true, false, false, false, true, true]);
     }
 }

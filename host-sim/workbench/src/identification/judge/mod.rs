@@ -22,7 +22,7 @@ use super::{IdentifyError, listed};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use compare::compare;
-use delay::{Delay, delay};
+use delay::{Delay, delay, fast_rows};
 use explained::at_rate;
 use nalgebra::DMatrix;
 use ranges::{Extremes, scan, units};
@@ -185,6 +185,8 @@ pub fn judge(
             &mut |own, prepared| {
                 gain = gain.max(own.noise_gain());
                 let stride = own.stride();
+                let fast = (0..joints).map(|j| fast_rows(&prepared.states, j, own.smear()));
+                let fast: Vec<Vec<bool>> = fast.collect();
                 let counts = (own.period_s / period_s - 1.0).abs() < SAME_PERIOD;
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
@@ -197,7 +199,12 @@ pub fn judge(
                         }
                         let tau = |row: usize| prepared.tau.get(row * joints + joint).copied();
                         if counts {
-                            delays[joint].add(x, qd, (row, stride, period_s), &tau);
+                            delays[joint].add(
+                                x,
+                                (qd, fast[joint][row]),
+                                (row, stride, period_s),
+                                &tau,
+                            );
                         }
                     }
                 }
