@@ -56,6 +56,9 @@ const SIGNIFICANCE: f32 = 2.0;
 const CLIP: f32 = 6.0;
 /// Largest growth of a velocity range by one row, rad/s: one encoder error is no motion.
 const RANGE_STEP: f32 = 0.02;
+/// Torques are reversed from minus this correlation with those of the loaded set on: friction that the set lacks correlates
+/// with gravity by chance.
+const REVERSED: f32 = 0.5;
 
 /// Evidence for the shares: sums over rows before they are learnt, faded.
 ///
@@ -80,7 +83,8 @@ pub(super) struct ShareEvidence<const N: usize> {
     joints: [(f32, f32, u32); N],
     /// Velocity range of each joint, backwards and forwards, rad/s.
     range: [[f32; 2]; N],
-    /// Σ y m over all joints, of measured torque y and torque m of the loaded set.
+    /// Σ y m + c (y² + m²)/2 over all joints, of measured torque y and torque m of the loaded set: negative only where their
+    /// correlation is below −c, and neither is far larger than the other.
     agreement: f32,
 }
 
@@ -127,7 +131,9 @@ impl<const N: usize> ShareEvidence<N> {
         *power = young * growth * *power + weight * change * change;
         *rows = rows.saturating_add(1);
         // As long a memory, over the rows of all joints.
-        self.agreement += (fade - 1.0) / N as f32 * self.agreement + measured * loaded;
+        let both = measured + loaded;
+        let agrees = (1.0 - REVERSED) * measured * loaded + 0.5 * REVERSED * both * both;
+        self.agreement += (fade - 1.0) / N as f32 * self.agreement + agrees;
     }
 
     /// Number of rows of all joints.
@@ -255,6 +261,15 @@ mod tests {
         (0..2000).for_each(|_| evidence.add_row(0, QD, [-0.5, 0.5, 0.0], SIGMA, FADE));
         assert_eq!(evidence.share(0, NOISE), 0.0);
         assert!(evidence.is_reversed());
+        // Friction at rest against a set that has next to none; torques that oppose it by a third of what they show.
+        for [measured, loaded] in [[-0.01, 1e-4], [-0.2, 0.05]] {
+            let mut evidence = ShareEvidence::<2>::NONE;
+            for row in 0..2000 {
+                let across = if row % 2 == 0 { 0.3 } else { -0.3 };
+                evidence.add_row(0, QD, [measured + across, loaded, 0.0], SIGMA, FADE);
+            }
+            assert!(!evidence.is_reversed(), "{measured} {loaded}");
+        }
     }
 
     #[test]

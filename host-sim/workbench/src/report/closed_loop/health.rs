@@ -12,6 +12,13 @@ use serde::Serialize;
 
 /// Share of a run that a trouble may last before it is one.
 const TOLERATED: f64 = 0.05;
+/// Flags of torques that are not those of the parameters.
+const CUT: [Flags; 4] = [
+    Flags::SATURATED,
+    Flags::SLEWED,
+    Flags::STALE_SAMPLE,
+    Flags::WITHDRAWN,
+];
 /// Change of a torque that counts as learnt, share of the torque limit.
 const LEARNT_SHARE: f64 = 0.005;
 /// Motion that is asked for and the part of it that must happen, rad and ratio.
@@ -124,7 +131,10 @@ impl<const N: usize> Health<N> {
             let sum = &mut self.changes[second];
             *sum = (sum.0 + change.norm_squared() / N as f64, sum.1 + 1);
         }
-        self.feed_forward = Some(record.feed_forward.cast());
+        // A torque that is cut, held or ended differs from that of its parameters for another reason than learning.
+        let armed = safety.is_none_or(|safety| safety.state == SafetyState::Armed);
+        let whole = armed && !CUT.into_iter().any(|flag| flags.contains(flag));
+        self.feed_forward = whole.then(|| record.feed_forward.cast());
     }
 
     /// The joint that is furthest beyond its range at `q`, in words; empty if none is.
@@ -244,14 +254,15 @@ impl LearntRecord {
             .decisions
             .iter()
             .map(|d| match d.times {
-                0 => format!("{} {:.1} s", d.decision, d.newest_s),
-                times => format!("{times} x {} ({:.1} s)", d.decision, d.newest_s),
+                0 => format!("{} for {:.1} s", d.decision, d.newest_s),
+                1 => format!("{} at {:.1} s", d.decision, d.first_s),
+                times => format!("{times} x {}, first at {:.1} s", d.decision, d.first_s),
             })
             .collect();
         let trust = self.trust.map_or(String::new(), |[least, last]| {
             format!("; trust {last:.2}, lowest {least:.2}")
         });
-        format!("learning: {adopted}; {}{trust}", decisions.join(", "))
+        format!("learning: {adopted}; {}{trust}", decisions.join("; "))
     }
 }
 
@@ -343,8 +354,7 @@ mod tests {
         let line = health.learnt().line();
         assert_eq!(
             line,
-            "learning: nothing adopted; no decision 1.0 s, 1 x following begins (1.0 s), \
-             1 x torques reversed (1.5 s)"
+            "learning: nothing adopted; no decision for 1.0 s; following begins at 1.0 s; torques reversed at 2.0 s"
         );
     }
 }
