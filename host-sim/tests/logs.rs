@@ -326,6 +326,14 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         log_of(&hung, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
         judged(words);
     }
+    // Beside the flange, where it loads the last joints most.
+    let tool = "from = 'panda'\n[tool]\nmass_kg = 2\ncom_m = [0, 0.05, 0.05]\ninertia_kg_m2 = { xx = 0.01, yy = 0.01, zz = 0.01 }\n";
+    write(here.join("tool.toml"), tool);
+    let simulate =
+        "simulate --robot tool.toml --trajectory validation --duration-s 12 --out hand.csv";
+    succeeds(&here, simulate);
+    let identify = "identify --robot panda --log hand.csv --data-check";
+    refused(&here, identify, " kg at the flange explains what");
     let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
     let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
     log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);

@@ -235,13 +235,9 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     let limits = std::array::from_fn(|joint| f64::from(A::limits()[joint].torque));
     for (number, stretch) in stretches.iter().enumerate() {
         progress("log replayed", number, stretches.len());
-        let fresh = history.is_empty();
+        // Before, no parameters are as old.
+        let skipped = ((AGE_S / period_s) as usize).saturating_sub(history.len());
         let predicted = play(&mut board, &mut history, stretch);
-        let skipped = if fresh {
-            (AGE_S / period_s) as usize
-        } else {
-            0
-        };
         scores[stretch.path].add(stretch, &predicted, skipped);
         let rows = (WATCHED_S / period_s) as usize;
         scores[stretch.path].watch(stretch, &predicted, rows, &limits);

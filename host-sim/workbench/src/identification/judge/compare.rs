@@ -9,7 +9,7 @@ use crate::robot::Robot;
 
 /// Compares the torques with those of the description.
 ///
-/// * `gain` of the filter on the noise      * `fitted` as in [`other_reading`]
+/// * `gain` of the filter on the noise      * `fitted` as in [`other_reading`]      * `payload` of the fit, as a finding
 pub(super) fn compare(
     judgement: &mut Judgement,
     robot: &Robot,
@@ -17,6 +17,7 @@ pub(super) fn compare(
     extremes: &[Extremes],
     gain: f64,
     fitted: &dyn Fn(f64) -> f64,
+    payload: &dyn Fn() -> Option<String>,
 ) {
     let mut bare = robot.clone();
     for joint in &mut bare.joints {
@@ -184,8 +185,14 @@ pub(super) fn compare(
     };
     let off: Vec<&usize> = heavy.iter().filter(off).collect();
     let unexplained = heavy.iter().filter(|&&joint| own[joint].rest > 0.6).count();
+    if off.is_empty() && unexplained == 0 {
+        return;
+    }
+    if let Some(text) = payload() {
+        judgement.find(true, text);
+        return;
+    }
     match (&off[..], unexplained) {
-        ([], 0) => {}
         ([joint], 0) if heavy.len() > 1 => judgement.find(
             true,
             format!(

@@ -24,10 +24,8 @@ pub(in crate::identification) fn after_fit(
     layout: &Layout,
     fit: &Fit,
 ) {
-    if let Some((mass, deviation)) = payload(robot, layout, fit) {
-        judgement.find(true, format!(
-            "a payload of {mass:.2} ± {deviation:.2} kg at the flange explains what the description does not: add it to the description or take it off"
-        ));
+    if let Some(flange) = payload(robot, layout, fit).filter(Flange::is_certain) {
+        judgement.find(true, flange.finding());
     }
     let deviation = |variance: f64| ANALYTIC * variance.max(0.0).sqrt();
     let deviations = fit.covariance.diagonal().map(deviation);
@@ -120,14 +118,37 @@ pub(in crate::identification) fn change(
     })
 }
 
-/// Mass at the flange that the fit has and the description has not, kg, with its standard deviation; none where the
-/// description's own uncertainty explains the difference.
+/// Mass at the flange that a fit has and the description has not.
+pub(super) struct Flange {
+    /// Mass and its standard deviation, kg.
+    pub(super) mass: f64,
+    pub(super) deviation: f64,
+    /// Share of the difference of fit and description that it explains.
+    pub(super) share: f64,
+}
+
+impl Flange {
+    const LEAST_KG: f64 = 0.3;
+
+    /// The description's own uncertainty does not explain the mass.
+    fn is_certain(&self) -> bool {
+        self.mass > Self::LEAST_KG && self.mass > DEVIATIONS * self.deviation
+    }
+
+    pub(super) fn finding(&self) -> String {
+        let (mass, deviation) = (self.mass, self.deviation);
+        format!(
+            "a payload of {mass:.2} ± {deviation:.2} kg at the flange explains what the description does not: add it to the description or take it off"
+        )
+    }
+}
+
+/// Mass at the flange by a fit.
 ///
 /// `theta − theta_description = p m + e`, e with the covariance of the fit and of a description whose masses, centres,
 /// inertias and rotors are uncertain.
-fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<(f64, f64)> {
+pub(super) fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<Flange> {
     const MASS: f64 = 0.25;
-    const LEAST_KG: f64 = 0.3;
     let base = layout.base;
     let nominal = DVector::from_vec(robot.base_parameters());
     let moved = |change: &dyn Fn(&mut Robot)| {
@@ -159,14 +180,14 @@ fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<(f64, f64)> {
             drive.rotor_inertia = 2.0 * drive.rotor_inertia + 0.01 * limit;
         });
     }
-    let at = |height: f64| {
+    let at = |place: Vector3<f64>| {
         moved(&|other| {
             let Some(last) = other.joints.last() else {
                 return;
             };
             let body = Link {
                 mass: 1.0,
-                com: robot.flange.point(&Vector3::new(0.0, 0.0, height)),
+                com: robot.flange.point(&place),
                 inertia_com: Matrix3::identity() * 1e-4,
             };
             let body = Link::lumped(&[last.link, body]);
@@ -177,12 +198,21 @@ fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<(f64, f64)> {
     };
     let inverse = covariance.cholesky()?.inverse();
     let rest = fit.theta.rows(0, base) - &nominal;
-    // Mass at the flange and its first moment along the flange's axis.
-    let columns = DMatrix::from_columns(&[at(0.0), (at(0.1) - at(0.0)) * 10.0]);
+    // Mass at the flange and its first moments.
+    let here = at(Vector3::zeros());
+    let moment = |axis: Vector3<f64>| (at(0.1 * axis) - &here) * 10.0;
+    let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(moment);
+    let columns = DMatrix::from_columns(&[here, x, y, z]);
     let gram = columns.tr_mul(&(&inverse * &columns)).try_inverse()?;
-    let found = &gram * columns.tr_mul(&(&inverse * &rest));
-    let deviation = gram[(0, 0)].sqrt();
-    (found[0] > LEAST_KG && found[0] > DEVIATIONS * deviation).then_some((found[0], deviation))
+    let moment = columns.tr_mul(&(&inverse * &rest));
+    let found = &gram * &moment;
+    let (mass, deviation) = (found[0], gram[(0, 0)].sqrt());
+    let share = found.dot(&moment) / rest.dot(&(&inverse * &rest));
+    Some(Flange {
+        mass,
+        deviation,
+        share,
+    })
 }
 
 #[cfg(test)]

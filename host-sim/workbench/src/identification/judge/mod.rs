@@ -24,6 +24,7 @@ use crate::robot::{LINK_PARAMETERS, Robot};
 use compare::compare;
 use delay::{Delay, delay, fast_rows};
 use explained::at_rate;
+use fitted::payload;
 use nalgebra::DMatrix;
 use ranges::{Extremes, scan, units};
 use serde::Serialize;
@@ -226,6 +227,11 @@ pub fn judge(
         }
     }
     let fitted = |rate| fall_at_rate(&layout, &sample.kept, config.still_rad_s, rate);
+    // Of the difference that another defect makes, a mass explains little.
+    let payload = || {
+        let flange = payload(robot, &layout, &wls(&sums, &layout).ok()?)?;
+        (flange.share > 0.5 && flange.mass > flange.deviation).then(|| flange.finding())
+    };
     compare(
         &mut judgement,
         robot,
@@ -233,6 +239,7 @@ pub fn judge(
         &extremes,
         gain,
         &fitted,
+        &payload,
     );
     if !judgement.refuses() {
         delay(&mut judgement, &layout, &delays, period_s);
