@@ -54,6 +54,12 @@ static void fail(const char *what) {
     exit(1);
 }
 
+/* Reports a file or port that cannot be used. */
+static void fail_at(const char *name) {
+    fprintf(stderr, "error: %s: %s\n", name, strerror(errno));
+    exit(1);
+}
+
 /* Reports a mistake in the arguments. */
 static void refuse(const char *what, const char *argument) {
     fprintf(stderr, "error: %s: %s\n", argument, what);
@@ -152,7 +158,8 @@ static const uint8_t *answer(struct board *board, uint8_t wanted) {
         board->count = 0;
         if (length == 0 || little(frame + 1, 2) != board->sequence) continue; /* damaged, or telemetry */
         if (frame[3] == NACK) {
-            fprintf(stderr, "error: the board refused: reason %d (docs/protocol.md)\n", frame[4]);
+            fprintf(stderr, "error: the board refused: reason %d, %d (docs/protocol.md, Nack reasons)\n", frame[4],
+                    length > 5 ? frame[5] : 0);
             exit(1);
         }
         if (frame[3] == wanted) return frame + 4;
@@ -164,8 +171,7 @@ static void board_open(struct board *board, const char *port) {
     memset(board, 0, sizeof *board);
     board->port = open(port, O_RDWR | O_NOCTTY);
     struct termios settings;
-    if (board->port < 0) fail("the port cannot be opened");
-    if (tcgetattr(board->port, &settings)) fail("the port is not a serial port");
+    if (board->port < 0 || tcgetattr(board->port, &settings)) fail_at(port);
     cfmakeraw(&settings);
     cfsetspeed(&settings, B2000000);
     tcsetattr(board->port, TCSANOW, &settings);
@@ -282,8 +288,9 @@ int main(int count, char **arguments) {
     printf("%s, %d joints\n", board.arm, n);
     if (given && given != n) refuse("not one angle for each joint", arguments[4]);
     board_configure(&board, PERIOD_US);
-    FILE *log = fopen(count > 3 ? arguments[3] : "log.csv", "w");
-    if (!log) fail("the log cannot be written");
+    const char *name = count > 3 ? arguments[3] : "log.csv";
+    FILE *log = fopen(name, "a");
+    if (!log) fail_at(name);
     memcpy(drive_q, start, sizeof start);
 
     struct sample sample = {0};
@@ -293,6 +300,8 @@ int main(int count, char **arguments) {
     for (int k = 0; k < 20; k++) board_sample(&board, &sample, torque); /* the board sees where the arm stands */
     board_command(&board, ARM);
 
+    log = freopen(name, "w", log); /* A log from before stays where the board refuses. */
+    if (!log) fail_at(name);
     fprintf(log, "t_s");
     columns(log, "q", "rad", n);
     columns(log, "qd", "rad_s", n);
@@ -329,7 +338,7 @@ int main(int count, char **arguments) {
         board_sample(&board, &sample, torque);
     } while (board.safety == ARMED || board.safety == RAMP_DOWN);
     int damaged = ferror(log);
-    if (fclose(log) || damaged) fail("the log cannot be written");
+    if (fclose(log) || damaged) fail_at(name);
     printf("%ld ticks\n", ticks);
     return 0;
 }

@@ -199,14 +199,17 @@ def angles(text):
     return values
 
 
-def drive(board, drives, start, chosen, log):
+def drive(board, drives, start, chosen, file):
     """The example loop: arms, moves for the ticks chosen, and disarms whatever happens."""
     joints = board.joints
     names = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2"), ("tau", "nm"), ("feed_forward", "nm")]
-    log.writerow(["t_s"] + [f"{name}{j}_{unit}" for name, unit in names for j in range(1, joints + 1)] + ["flags"])
     desired = (start, [0.0] * joints, [0.0] * joints)
     try:
         board.arm(desired, drives.read())
+        if os.path.isfile(chosen.log):
+            file.truncate(0)  # a log from before stays where the board refuses
+        log = csv.writer(file)
+        log.writerow(["t_s"] + [f"{name}{j}_{unit}" for name, unit in names for j in range(1, joints + 1)] + ["flags"])
         begin = time.monotonic()
         for tick in range(chosen.ticks):
             t_s = tick * chosen.period_s
@@ -244,8 +247,8 @@ def main():
     if len(start) != board.joints:
         arguments.error(f"argument --start: {len(start)} angles for {board.joints} joints")
     board.configure(chosen.period_s)
-    with open(chosen.log, "w", newline="") as file:
-        drive(board, SimulatedDrives(start), start, chosen, csv.writer(file))
+    with open(chosen.log, "a", newline="") as file:
+        drive(board, SimulatedDrives(start), start, chosen, file)
     print(f"{chosen.ticks} ticks, {chosen.log}")
 
 

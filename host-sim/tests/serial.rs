@@ -242,6 +242,11 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
     let expected = 0.1 * Ur5::LIMITS[1].torque;
     assert!((shoulder - expected).abs() < 1e-3, "{shoulder}");
 
+    // Where the board refuses to arm, the log from before stays.
+    let (code, stderr, _) = run(&["--start", "0,0,9,0,0,0"]);
+    assert_eq!(code, Some(1), "{stderr}");
+    assert_eq!(text(here.join("log.csv")), table);
+
     let (code, stderr, tags) = run(&["--log", "/dev/full"]);
     assert_eq!(code, Some(1));
     assert_eq!(stderr.lines().count(), 1, "{stderr}");
