@@ -224,6 +224,15 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
     let expected =
         "t: the tree branches at link 'world': choose the arm's end with --tip 'f' or --tip 'fore'";
     assert_eq!(error, expected);
+    // One branch that branches again.
+    let torso = torso.replace("</robot>", r#"
+        <joint name="g" type="revolute"><parent link="b"/><child link="h"/></joint><link name="h"/>
+        <joint name="i" type="revolute"><parent link="h"/><child link="k"/></joint><link name="k"/></robot>"#);
+    let error = refusal(&torso, &WHOLE);
+    assert!(
+        error.ends_with("--tip 'f' or --tip 'k' or --tip 'fore'"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -198,12 +198,7 @@ impl<'a> Tree<'a> {
     pub(super) fn only_path(&self, base: usize) -> Result<Vec<usize>, String> {
         let mut end = base;
         loop {
-            let body = self.rigid_body(end, Placement::identity(), None);
-            let moving: Vec<usize> = self.moving_joints(&body).collect();
-            let fork = moving.len() > 1;
-            let mut on = moving.clone();
-            on.retain(|&joint| self.reach(joint) > usize::from(fork));
-            on.retain(|&joint| end == base || !self.is_finger(joint, fork));
+            let [moving, mut on] = self.onward(base, end);
             match on[..] {
                 // Nothing but a joint that no arm can have: its refusal names it.
                 [] if end == base && moving.len() == 1 => end = self.child[moving[0]],
@@ -212,8 +207,9 @@ impl<'a> Tree<'a> {
                 [joint] => end = self.child[joint],
                 _ => {
                     on.sort_by_key(|&joint| std::cmp::Reverse(self.reach(joint)));
-                    let tips = on.iter().map(|&joint| self.name(self.farthest(joint)));
-                    let tips = tips.collect::<Vec<_>>().join("' or --tip '");
+                    let tips = on.iter().flat_map(|&joint| self.tips(base, joint));
+                    let tips = tips.map(|link| self.name(link)).collect::<Vec<_>>();
+                    let tips = tips.join("' or --tip '");
                     let link = self.name(end);
                     return Err(format!(
                         "the tree branches at link '{link}': choose the arm's end with --tip '{tips}'"
@@ -226,6 +222,26 @@ impl<'a> Tree<'a> {
             end = self.child[joint];
         }
         self.path_to(base, end)
+    }
+
+    /// Joints that move what the body of link `end` carries, and those of them that lead on to an arm.
+    fn onward(&self, base: usize, end: usize) -> [Vec<usize>; 2] {
+        let body = self.rigid_body(end, Placement::identity(), None);
+        let moving: Vec<usize> = self.moving_joints(&body).collect();
+        let fork = moving.len() > 1;
+        let mut on = moving.clone();
+        on.retain(|&joint| self.reach(joint) > usize::from(fork));
+        on.retain(|&joint| end == base || !self.is_finger(joint, fork));
+        [moving, on]
+    }
+
+    /// Ends of the arms beyond a joint.
+    fn tips(&self, base: usize, joint: usize) -> Vec<usize> {
+        let [_, on] = self.onward(base, self.child[joint]);
+        match on[..] {
+            [] => vec![self.farthest(joint)],
+            _ => on.iter().flat_map(|&on| self.tips(base, on)).collect(),
+        }
     }
 
     /// Links that move as one with `link`, which lies at `frame`; nothing beyond the link `end`.

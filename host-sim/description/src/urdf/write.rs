@@ -2,6 +2,7 @@
 
 use crate::robot::{Joint, Link, Placement, Robot};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use std::f64::consts::PI;
 
 /// The link that MJCF and SDF have without saying so.
 const WORLD: &str = "world";
@@ -46,8 +47,8 @@ fn parts(robot: &Robot) -> (String, Vec<Part<'_>>, Option<(String, Placement)>) 
 
 /// The URDF of an arm.
 ///
-/// A URDF has no place for rotor inertias, drive gains, Stribeck friction and ripple: the TOML description
-/// ([`Robot::to_toml`]) keeps them.
+/// A URDF has no place for rotor inertias, drive gains, Stribeck friction, ripple and the size of gravity: the TOML description
+/// ([`Robot::to_toml`]) keeps them. Gravity is along −z of the root, on which a base in another position stands tilted.
 pub fn write(robot: &Robot) -> String {
     let (base, parts, tip) = parts(robot);
     let mut out = format!(
@@ -58,6 +59,13 @@ pub fn write(robot: &Robot) -> String {
         let (xyz, rpy) = (list(&frame.origin), list(&angles(frame)));
         format!("<origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>")
     };
+    if let Some(tilted) = tilt(&robot.gravity) {
+        out += &format!(
+            "  <joint name=\"{base}_tilt\" type=\"fixed\">\n    <parent link=\"{base}_ground\"/> <child link=\"{base}\"/>\n    {}\n  \
+             </joint>\n  <link name=\"{base}_ground\"/>\n",
+            origin(&tilted)
+        );
+    }
     for part in &parts {
         let (limits, friction) = (&part.joint.limits, &part.joint.friction);
         let [name, parent] = &part.names;
@@ -204,6 +212,21 @@ pub fn sdf(robot: &Robot) -> String {
     out + &format!("  <!-- gravity of the world: {gravity} -->\n</model></sdf>\n")
 }
 
+/// Placement of a base on the ground, under gravity in the base's frame; `None` for an upright one.
+fn tilt(gravity: &Vector3<f64>) -> Option<Placement> {
+    let down = -Vector3::z();
+    if gravity.xy().norm() == 0.0 && gravity.z <= 0.0 {
+        return None;
+    }
+    // There are many rotations from up to down.
+    let over = || Rotation3::from_axis_angle(&Vector3::x_axis(), PI);
+    let rot = Rotation3::rotation_between(gravity, &down).unwrap_or_else(over);
+    Some(Placement {
+        rot_parent_child: rot.into_inner(),
+        ..Placement::identity()
+    })
+}
+
 /// Roll, pitch and yaw about fixed axes, rad.
 fn angles(frame: &Placement) -> Vector3<f64> {
     let rot = Rotation3::from_matrix_unchecked(frame.rot_parent_child);
@@ -266,6 +289,18 @@ mod tests {
             }
             assert_eq!(again.joints[1].friction, arm.joints[1].friction);
             assert!(text.contains("\"0 1 0\""), "the axis of the file: {text}");
+        }
+        // The base of a URDF is tilted where gravity is.
+        let size = arm.gravity.norm();
+        for down in [Vector3::new(0.0, -0.3, -0.9), Vector3::x(), Vector3::z()] {
+            let hung = Robot {
+                gravity: down.normalize() * size,
+                ..arm.clone()
+            };
+            let again = whole(&write(&hung));
+            for (here, there) in torques(&hung).iter().zip(torques(&again)) {
+                assert!((here - there).amax() < 1e-9, "{down}");
+            }
         }
         // An armature is where a URDF has no place for it.
         bare.joints[0].drive.rotor_inertia = 0.5;
