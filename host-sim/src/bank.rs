@@ -61,6 +61,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             // Before a board is disturbed: is it a bank?
             read(&arguments.file)?;
         }
+        if arguments.read.is_some() && arguments.file.exists() && read(&arguments.file).is_err() {
+            let file = arguments.file.display();
+            return Err(unusable(format!(
+                "{file} is there and no bank: choose another name"
+            )));
+        }
         let robot = &arguments.arm.load(robot)?;
         let found: Result<_, Failure> =
             on_arm!(robot, A, N, P => arguments.exchange::<A, N, P>(robot));

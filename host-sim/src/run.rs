@@ -66,7 +66,8 @@ pub(super) struct Arguments {
     log: Option<PathBuf>,
     #[command(flatten)]
     verdict: Verdict,
-    /// Directory for log.csv, report.json, report.html and bank.bin, the parameters in force at the end; telemetry.csv
+    /// Directory for log.csv, report.json, report.html and bank.bin, the parameters in force at the end; telemetry.csv and the
+    /// MCAP files beside
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }

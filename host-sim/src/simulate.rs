@@ -171,6 +171,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let mut scene = arguments.motion.scene::<N>(robot)?;
+    if scene.ticks == 0 {
+        return Err(unusable("--duration-s is shorter than a period of 1 ms"));
+    }
     let gains = robot.joints.iter().map(Joint::gain);
     let gains = arguments.current.then(|| Joints::from_iterator(gains));
     let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);

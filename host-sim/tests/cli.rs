@@ -7,6 +7,7 @@ use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::{JointMotion, JointVector};
+use foretorque_workbench::robot::Robot;
 use std::fs;
 use std::path::Path;
 
@@ -53,9 +54,12 @@ fn an_arm_of_seven_joints_runs_in_a_closed_loop_and_learns() {
 #[test]
 fn an_arm_of_more_torque_than_a_sample_carries_sends_currents() {
     let here = directory("heavy-run");
-    let ur5 = include_str!("../robots/ur5.toml");
-    let heavy = ur5.replacen("-9.81]", "-196.2]", 1);
-    assert_ne!(heavy, ur5);
+    let mut heavy = Robot::load("ur5").expect("built in");
+    for joint in &mut heavy.joints {
+        joint.link.mass *= 24.0;
+        joint.link.inertia_com *= 24.0;
+    }
+    let heavy = heavy.to_toml().expect("serialises");
     write(here.join("heavy.toml"), heavy);
     let run = "run --robot heavy.toml --torque-limits 3000 --trajectory validation --duration-s 0.5 --learn --out out";
     let reason =

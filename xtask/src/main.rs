@@ -29,7 +29,7 @@ Commands:
   test     Set up, run every gate (format, lints, builds, tests, docs), print a table and counts
   bench    Set up, measure the cost of the firmware, compare with docs/budget.md, write target/foretorque/bench.json
   faults   Set up, inject every fault into every board, write target/foretorque/faults.json
-  fuzz     Set up, fuzz decoder, bank loader, session and store, write target/foretorque/fuzz.json
+  fuzz     Set up, fuzz decoder, bank loader, session, store and drives, write target/foretorque/fuzz.json
   flash    Set up, build, write .bin and .hex to target/foretorque/flash, flash the ELF by probe-rs
   arm      Set up, describe an arm, build its firmware into target/foretorque/arms/NAME, print the sizes
   capi     Set up, write the header for C, build the static library and its example

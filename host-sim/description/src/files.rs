@@ -114,8 +114,9 @@ impl WholeFile {
         if let Some(parent) = target.parent().filter(|p| !p.as_os_str().is_empty()) {
             let file = parent.ancestors().find(|path| path.is_file());
             if let Some(file) = file {
-                let problem = "is a file, where a directory is needed: choose another path";
-                return Err(at(file, io::Error::other(problem)));
+                let file = file.display();
+                let problem = format!("{file} is a file: choose another directory");
+                return Err(at(parent, io::Error::other(problem)));
             }
             fs::create_dir_all(parent).map_err(|error| at(parent, error))?;
         }
@@ -270,7 +271,7 @@ mod tests {
         let below = WholeFile::create(&file.join("report.json")).err();
         let below = below.expect("no directory").to_string();
         assert!(
-            below.contains("file: is a file, where a directory"),
+            below.contains("is a file: choose another directory"),
             "{below}"
         );
         let mode = fs::metadata(&file).expect("is there").permissions().mode();
