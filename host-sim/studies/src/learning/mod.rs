@@ -319,11 +319,22 @@ fn row(outcome: &Comparison) -> [String; 6] {
 fn text(report: &LearningReport) -> String {
     let all: Vec<&Comparison> = report.outcomes.iter().collect();
     let (header, rows) = matrix(report);
-    let missed = report.outcomes.iter().filter(|outcome| !outcome.met);
+    let missed: Vec<_> = report
+        .outcomes
+        .iter()
+        .filter(|outcome| !outcome.met)
+        .collect();
     let columns = "arm | scenario | seed | figure | measured | reach";
-    let (matrix, missed) = (aligned(&header, rows), aligned(columns, missed.map(row)));
+    let matrix = aligned(&header, rows);
+    let missed = match missed.is_empty() {
+        true => String::new(),
+        false => format!(
+            "\nMissed:\n\n{}",
+            aligned(columns, missed.into_iter().map(row))
+        ),
+    };
     let reached = reached(&all);
-    format!("host-sim experiment learning: {reached} reached.\n\n{matrix}\nMissed:\n\n{missed}")
+    format!("host-sim experiment learning: {reached} reached.\n\n{matrix}{missed}")
 }
 
 fn number(value: f64) -> String {
