@@ -7,215 +7,299 @@ use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::robot::Robot;
 
-/// Compares the torques with those of the description.
+/// Reasons that need more than the torques: fits of the judge.
+pub(super) struct Fits<'a> {
+    /// Fall of the logarithm of what free parameters leave, by a clock of another rate.
+    pub(super) fitted: &'a dyn Fn(f64) -> f64,
+    /// Finding of a body at the flange.
+    pub(super) payload: &'a dyn Fn() -> Option<String>,
+}
+
+/// Compares the torques with those of the description. The first finding that refuses is the last.
 ///
-/// * `gain` of the filter on the noise      * `fitted` as in [`other_reading`]      * `payload` of the fit, as a finding
+/// * `gain` of the filter on the noise
 pub(super) fn compare(
     judgement: &mut Judgement,
     robot: &Robot,
     rows: &[(Motion, PerJoint<f64>)],
     extremes: &[Extremes],
     gain: f64,
-    fitted: &dyn Fn(f64) -> f64,
-    payload: &dyn Fn() -> Option<String>,
+    fits: &Fits<'_>,
 ) {
-    let mut bare = robot.clone();
-    for joint in &mut bare.joints {
-        joint.drive.rotor_inertia = 0.0;
+    let compared = Comparison::new(robot, rows, extremes);
+    let joints = 0..extremes.len();
+    let checks = joints.map(|joint| compared.check(joint, gain));
+    judgement.joints.extend(checks);
+    let reading = compared.unsigned().or_else(|| compared.all_noise());
+    let reading = reading.or_else(|| other_reading(&compared.bare, rows, extremes, fits.fitted));
+    if let Some(text) = reading {
+        judgement.find(true, text);
+        return;
     }
-    let model = RigidBodies::new(&bare);
-    let joints = model.joints();
-    let states: Vec<Motion> = rows.iter().map(|(state, _)| *state).collect();
-    let of_links = links(&model, &states);
-    let limit = |joint: usize| robot.joints[joint].limits.torque;
-    let explained = (0..joints).map(|joint| {
-        let tau = |row: usize| rows[row].1[joint];
-        explain(joint, &states, &of_links, limit(joint), tau)
-    });
-    let own: Vec<Explained> = explained.collect();
-    for (joint, seen) in extremes.iter().enumerate() {
-        let told = own[joint].deviation < 0.3;
-        judgement.joints.push(JointCheck {
+    for (refuses, text) in compared.noise() {
+        judgement.find(refuses, text);
+    }
+    if let Some(text) = compared.turned() {
+        judgement.find(true, text);
+        return;
+    }
+    for (refuses, text) in compared.sizes() {
+        judgement.find(refuses, text);
+        if refuses {
+            return;
+        }
+    }
+    if let Some(text) = compared.gravity(fits.payload) {
+        judgement.find(true, text);
+    }
+}
+
+/// Torques of a log beside those of the description.
+struct Comparison<'a> {
+    robot: &'a Robot,
+    /// The description without rotors.
+    bare: Robot,
+    rows: &'a [(Motion, PerJoint<f64>)],
+    extremes: &'a [Extremes],
+    states: Vec<Motion>,
+    /// Torques of the links, and of gravity alone, N·m.
+    of_links: Vec<[PerJoint<f64>; 2]>,
+    own: Vec<Explained>,
+}
+
+impl<'a> Comparison<'a> {
+    fn new(
+        robot: &'a Robot,
+        rows: &'a [(Motion, PerJoint<f64>)],
+        extremes: &'a [Extremes],
+    ) -> Self {
+        let mut bare = robot.clone();
+        for joint in &mut bare.joints {
+            joint.drive.rotor_inertia = 0.0;
+        }
+        let states: Vec<Motion> = rows.iter().map(|(state, _)| *state).collect();
+        let mut compared = Self {
+            of_links: links(&RigidBodies::new(&bare), &states),
+            robot,
+            bare,
+            rows,
+            extremes,
+            states,
+            own: Vec::new(),
+        };
+        let own = |joint| compared.explained(joint, &|row: usize| rows[row].1[joint]);
+        compared.own = (0..extremes.len()).map(own).collect();
+        compared
+    }
+
+    fn explained(&self, joint: usize, tau: &dyn Fn(usize) -> f64) -> Explained {
+        let limit = self.robot.joints[joint].limits.torque;
+        explain(joint, &self.states, &self.of_links, limit, tau)
+    }
+
+    fn joints(&self) -> std::ops::Range<usize> {
+        0..self.own.len()
+    }
+
+    /// The torque of a joint follows the motion.
+    fn is_sound(&self, joint: usize) -> bool {
+        self.own[joint].rest <= NOISE_SHARE
+    }
+
+    fn heavy(&self) -> impl Iterator<Item = usize> {
+        self.joints().filter(|&joint| self.own[joint].heavy)
+    }
+
+    fn check(&self, joint: usize, gain: f64) -> JointCheck {
+        let (seen, own) = (&self.extremes[joint], &self.own[joint]);
+        let told = own.deviation < 0.3;
+        JointCheck {
             position_rad: seen.position,
             speed_rad_s: seen.speed,
             torque_rms_nm: seen.rms(),
             noise_floor_nm: seen.noise() * gain,
-            unexplained_ratio: own[joint].rest,
-            scale_ratio: (told && own[joint].heavy).then_some(own[joint].scale),
-        });
-    }
-    let noise: Vec<usize> = (0..joints)
-        .filter(|&joint| own[joint].rest > NOISE_SHARE)
-        .collect();
-    let heavy: Vec<usize> = (0..joints).filter(|&joint| own[joint].heavy).collect();
-    // A torque that is always positive, although its joint needs both signs: those of its links or of its velocity explain it
-    // far better.
-    let unsigned = (0..joints).filter(|&joint| extremes[joint].unsigned());
-    let unsigned = unsigned.filter(|&joint| {
-        let rest = |sign: &dyn Fn(usize) -> f64| {
-            let tau = |row: usize| rows[row].1[joint].copysign(sign(row));
-            explain(joint, &states, &of_links, limit(joint), tau).rest
-        };
-        let links = rest(&|row| of_links[row][0][joint]);
-        let drive = rest(&|row| states[row].qd[joint]);
-        (own[joint].rest / f64::min(links, drive)).ln() > SIGN_EVIDENCE
-    });
-    let unsigned: Vec<String> = unsigned.map(|joint| (joint + 1).to_string()).collect();
-    if !unsigned.is_empty() {
-        judgement.find(true, format!(
-            "torque of joint {} is never negative: is it an absolute value? Log it with its sign",
-            unsigned.join(", ")
-        ));
-        return;
-    }
-    if noise.len() == joints {
-        judgement.find(
-            true,
-            "the torques of all joints are noise: they follow neither the motion nor gravity",
-        );
-        return;
-    }
-    if let Some(text) = other_reading(&bare, rows, extremes, fitted) {
-        judgement.find(true, text);
-        return;
-    }
-    for joint in &noise {
-        if let Some(value) = extremes[*joint].constant() {
-            // Of a passive joint in free swing, inertia takes up gravity.
-            let power = |k: usize| {
-                of_links
-                    .iter()
-                    .map(|links| links[k][*joint].powi(2))
-                    .sum::<f64>()
-            };
-            let passive = value == 0.0 && power(0) < 0.25 * power(1);
-            judgement.find(
-                !passive,
-                format!(
-                    "joint {}: its torque is always {value:.4} N·m, does the sensor work?",
-                    joint + 1
-                ),
-            );
-            continue;
+            unexplained_ratio: own.rest,
+            scale_ratio: (told && own.heavy).then_some(own.scale),
         }
-        let share = 100.0 * own[*joint].rest;
-        let seen = &extremes[*joint];
-        let noise = match seen.noise() > 0.5 * seen.rms() {
-            true => ": it is noise",
-            false => "",
-        };
-        judgement.find(
-            false,
-            format!("joint {}: {share:.0} % of the variance of its torque does not follow the motion{noise}", joint + 1),
-        );
     }
-    let sound = |joint: usize| own[joint].rest <= NOISE_SHARE;
-    let certain = |joint: usize| weight(&bare, &of_links, joint) > 1.0;
-    // Stiction alone carries a light joint at rest.
-    let turned: Vec<usize> = (0..joints)
-        .filter(|&joint| sound(joint) && (own[joint].heavy || extremes[joint].moved()))
-        .filter(|&joint| own[joint].is_turned(certain(joint)))
-        .collect();
-    // Where the torques oppose those of the links even without the joint with most of them, all are turned.
-    let shares = (0..joints).filter(|&joint| sound(joint)).map(|joint| {
-        let products = rows.iter().zip(&of_links);
-        let sum = products.map(|((_, tau), links)| tau[joint] * links[0][joint]);
-        sum.sum::<f64>() / limit(joint).powi(2)
-    });
-    let shares: Vec<f64> = shares.collect();
-    let most = shares
-        .iter()
-        .copied()
-        .fold(0.0, |a: f64, b| if a.abs() > b.abs() { a } else { b });
-    if !turned.is_empty() && most < 0.0 && shares.iter().sum::<f64>() < most {
-        judgement.find(
-            true,
-            "the torques of all joints have the wrong sign: positive ones must accelerate +q; is this a log that counts the other way (--units tau=-Nm or i=-A)?",
-        );
-        return;
+
+    /// Torques that are always positive, although their joints need both signs: those of the links or of the velocity explain
+    /// them far better.
+    fn unsigned(&self) -> Option<String> {
+        let unsigned = self.joints().filter(|&joint| {
+            let rest = |sign: &dyn Fn(usize) -> f64| {
+                let tau = |row: usize| self.rows[row].1[joint].copysign(sign(row));
+                self.explained(joint, &tau).rest
+            };
+            self.extremes[joint].unsigned() && {
+                let links = rest(&|row| self.of_links[row][0][joint]);
+                let drive = rest(&|row| self.states[row].qd[joint]);
+                (self.own[joint].rest / f64::min(links, drive)).ln() > SIGN_EVIDENCE
+            }
+        });
+        let unsigned = numbers(unsigned);
+        (!unsigned.is_empty()).then(|| {
+            format!("torque of joint {unsigned} is never negative: is it an absolute value? Log it with its sign")
+        })
     }
-    if !turned.is_empty() {
-        let names: Vec<String> = turned.iter().map(|joint| (joint + 1).to_string()).collect();
-        judgement.find(true, format!(
-            "torque of joint {} has the wrong sign: it must be positive where it accelerates +q",
-            names.join(", ")
-        ));
-        return;
+
+    fn all_noise(&self) -> Option<String> {
+        let noise = !self.joints().any(|joint| self.is_sound(joint));
+        noise.then(|| {
+            "the torques of all joints are noise: they follow neither the motion nor gravity"
+                .to_owned()
+        })
     }
-    for (joint, seen) in extremes.iter().enumerate() {
-        let friction = &robot.joints[joint].friction;
-        let moved = states
-            .iter()
-            .filter(|state| state.qd[joint].abs() > MOVED.0);
-        if friction.coulomb <= 0.0 || !sound(joint) || moved.count() * 10 < states.len() {
-            continue;
+
+    /// Findings on joints whose torque does not follow the motion, and whether they refuse.
+    fn noise(&self) -> impl Iterator<Item = (bool, String)> {
+        let noise = self.joints().filter(|&joint| !self.is_sound(joint));
+        noise.map(|joint| {
+            let (number, seen) = (joint + 1, &self.extremes[joint]);
+            if let Some(value) = seen.constant() {
+                // Of a passive joint in free swing, inertia takes up gravity.
+                let power = |k: usize| {
+                    let squares = self.of_links.iter().map(|links| links[k][joint].powi(2));
+                    squares.sum::<f64>()
+                };
+                let passive = value == 0.0 && power(0) < 0.25 * power(1);
+                let text = format!(
+                    "joint {number}: its torque is always {value:.4} N·m, does the sensor work?"
+                );
+                return (!passive, text);
+            }
+            let share = 100.0 * self.own[joint].rest;
+            let noise = match seen.noise() > 0.5 * seen.rms() {
+                true => ": it is noise",
+                false => "",
+            };
+            let text = format!(
+                "joint {number}: {share:.0} % of the variance of its torque does not follow the motion{noise}"
+            );
+            (false, text)
+        })
+    }
+
+    /// Torques of the wrong sign, of one joint or of all.
+    fn turned(&self) -> Option<String> {
+        let certain = |joint: usize| weight(&self.bare, &self.of_links, joint) > 1.0;
+        let sound = || self.joints().filter(|&joint| self.is_sound(joint));
+        // Stiction alone carries a light joint at rest.
+        let turned = sound()
+            .filter(|&joint| self.own[joint].heavy || self.extremes[joint].moved())
+            .filter(|&joint| self.own[joint].is_turned(certain(joint)));
+        let turned = numbers(turned);
+        if turned.is_empty() {
+            return None;
+        }
+        // Where the torques oppose those of the links even without the joint with most of them, all are turned.
+        let shares = sound().map(|joint| {
+            let products = self.rows.iter().zip(&self.of_links);
+            let sum = products.map(|((_, tau), links)| tau[joint] * links[0][joint]);
+            sum.sum::<f64>() / self.robot.joints[joint].limits.torque.powi(2)
+        });
+        let shares: Vec<f64> = shares.collect();
+        let larger = |a: f64, b: &f64| if a.abs() > b.abs() { a } else { *b };
+        let most = shares.iter().fold(0.0, larger);
+        Some(match most < 0.0 && shares.iter().sum::<f64>() < most {
+            true => "the torques of all joints have the wrong sign: positive ones must accelerate +q; is this a log that counts the other way (--units tau=-Nm or i=-A)?".to_owned(),
+            false => format!(
+                "torque of joint {turned} has the wrong sign: it must be positive where it accelerates +q"
+            ),
+        })
+    }
+
+    /// Torques far from the size of the description's, where that has friction, and whether they refuse.
+    fn sizes(&self) -> impl Iterator<Item = (bool, String)> {
+        let (smallest, largest) = SOUND_SIZE;
+        let sizes = self
+            .joints()
+            .filter_map(|joint| Some((joint, self.size(joint)?)));
+        let other = sizes.filter(move |(_, size)| *size < smallest || *size > largest);
+        other.map(move |(joint, size)| {
+            let text = format!(
+                "torque of joint {} is {size:.2} times the description's: drive gain or unit?",
+                joint + 1
+            );
+            // A sensor behind the gear does not see the friction of a description.
+            (size > largest, text)
+        })
+    }
+
+    /// Torque of a moving joint over the description's, in RMS; `None` where the description has no friction.
+    fn size(&self, joint: usize) -> Option<f64> {
+        let described = &self.robot.joints[joint];
+        let moved = self.states.iter();
+        let moved = moved
+            .filter(|state| state.qd[joint].abs() > MOVED.0)
+            .count();
+        let known = described.friction.coulomb > 0.0 && self.is_sound(joint);
+        if !known || moved * 10 < self.states.len() {
+            return None;
         }
         // Where the description has no rotor, its inertia is unknown.
-        let rotor = match robot.joints[joint].drive.rotor_inertia {
-            0.0 => own[joint].rotor.max(0.0),
+        let rotor = match described.drive.rotor_inertia {
+            0.0 => self.own[joint].rotor.max(0.0),
             rotor => rotor,
         };
-        let described = states.iter().zip(&of_links).map(|(state, links)| {
-            let (qd, rotor) = (state.qd[joint], rotor * state.qdd[joint]);
-            links[0][joint]
-                + rotor
-                + friction.coulomb * (qd / SIGN_WIDTH_RAD_S).tanh()
-                + friction.viscous * qd
+        let torques = self
+            .states
+            .iter()
+            .zip(&self.of_links)
+            .map(|(state, links)| {
+                let (qd, rotor) = (state.qd[joint], rotor * state.qdd[joint]);
+                let coulomb = described.friction.coulomb * (qd / SIGN_WIDTH_RAD_S).tanh();
+                links[0][joint] + rotor + coulomb + described.friction.viscous * qd
+            });
+        let power = torques.map(|tau| tau * tau).sum::<f64>() / self.states.len() as f64;
+        Some(self.extremes[joint].rms() / power.sqrt())
+    }
+
+    /// Gravity of another size than described, by a body at the flange, in one joint or in several.
+    fn gravity(&self, payload: &dyn Fn() -> Option<String>) -> Option<String> {
+        let off = self.heavy().filter(|&joint| {
+            let own = &self.own[joint];
+            let (low, high) = SOUND_SCALE;
+            let clear = own.deviation * DEVIATIONS < (own.scale - 1.0).abs();
+            let (least, most) = (own.scale.min(own.scale_back), own.scale.max(own.scale_back));
+            self.is_sound(joint) && clear && (most < low || least > high)
         });
-        let described = described.map(|tau| tau * tau).sum::<f64>() / states.len() as f64;
-        let size = (seen.power / f64::max(seen.rows, 1.0) / described).sqrt();
-        let text = format!(
-            "torque of joint {} is {size:.2} times the description's: drive gain or unit?",
-            joint + 1
-        );
-        // A sensor behind the gear does not see the friction of a description.
-        if size < SOUND_SIZE.0 {
-            judgement.find(false, text);
-        } else if size > SOUND_SIZE.1 {
-            judgement.find(true, text);
-            return;
+        let off: Vec<usize> = off.collect();
+        let unexplained = self
+            .heavy()
+            .filter(|&joint| self.own[joint].rest > 0.6)
+            .count();
+        if off.is_empty() && unexplained == 0 {
+            return None;
         }
-    }
-    let off = |joint: &&usize| {
-        let own = &own[**joint];
-        let (low, high) = SOUND_SCALE;
-        let clear = own.deviation * DEVIATIONS < (own.scale - 1.0).abs();
-        let (least, most) = (own.scale.min(own.scale_back), own.scale.max(own.scale_back));
-        sound(**joint) && clear && (most < low || least > high)
-    };
-    let off: Vec<&usize> = heavy.iter().filter(off).collect();
-    let unexplained = heavy.iter().filter(|&&joint| own[joint].rest > 0.6).count();
-    if off.is_empty() && unexplained == 0 {
-        return;
-    }
-    if let Some(text) = payload() {
-        judgement.find(true, text);
-        return;
-    }
-    match (&off[..], unexplained) {
-        ([joint], 0) if heavy.len() > 1 => judgement.find(
-            true,
-            format!(
-                "torque of joint {} is {:.2} times the description's, those of the others are not: drive gain, unit, mass, or another arm?",
-                **joint + 1,
-                own[**joint].scale
-            ),
-        ),
-        _ => {
-            let scales: Vec<String> = heavy
-                .iter()
-                .map(|&joint| format!("J{} {:.2} ± {:.2}, {:.0} % unexplained", joint + 1, own[joint].scale, own[joint].deviation, 100.0 * own[joint].rest))
-                .collect();
-            judgement.find(
-                true,
-                format!(
-                    "gravity does not fit description '{}' (times its torque: {}): another arm, another base (its gravity_m_s2), or a heavy payload?",
-                    robot.name,
-                    scales.join("; ")
+        payload().or_else(|| {
+            Some(match (&off[..], unexplained) {
+                (&[joint], 0) if self.heavy().count() > 1 => format!(
+                    "torque of joint {} is {:.2} times the description's, those of the others are not: drive gain, unit, mass, or another arm?",
+                    joint + 1,
+                    self.own[joint].scale
                 ),
-            );
-        }
+                _ => {
+                    let scales = self.heavy().map(|joint| {
+                        let own = &self.own[joint];
+                        let (number, rest) = (joint + 1, 100.0 * own.rest);
+                        format!("J{number} {:.2} ± {:.2}, {rest:.0} % unexplained", own.scale, own.deviation)
+                    });
+                    format!(
+                        "gravity does not fit description '{}' (times its torque: {}): another arm, another base (its gravity_m_s2), or a heavy payload?",
+                        self.robot.name,
+                        scales.collect::<Vec<_>>().join("; ")
+                    )
+                }
+            })
+        })
     }
+}
+
+/// Numbers of joints from 1 on, in words.
+fn numbers(joints: impl Iterator<Item = usize>) -> String {
+    let numbers: Vec<String> = joints.map(|joint| (joint + 1).to_string()).collect();
+    numbers.join(", ")
 }
 
 #[cfg(test)]
@@ -259,7 +343,11 @@ mod tests {
                 (state, tau)
             });
             let rows: Vec<_> = rows.collect();
-            compare(&mut judgement, &robot, &rows, &seen, 1.0, &|_| 0.0);
+            let fits = Fits {
+                fitted: &|_| 0.0,
+                payload: &|| None,
+            };
+            compare(&mut judgement, &robot, &rows, &seen, 1.0, &fits);
             judgement.findings
         };
         assert_eq!(judged(0.0, 0.0), []);

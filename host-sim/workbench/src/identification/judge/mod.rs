@@ -21,7 +21,7 @@ use super::stream::for_each_prepared;
 use super::{IdentifyError, listed};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::{LINK_PARAMETERS, Robot};
-use compare::compare;
+use compare::{Fits, compare};
 use delay::{Delay, delay, fast_rows};
 use explained::at_rate;
 use fitted::payload;
@@ -232,15 +232,11 @@ pub fn judge(
         let flange = payload(robot, &layout, &wls(&sums, &layout).ok()?)?;
         (flange.share > 0.5 && flange.mass > flange.deviation).then(|| flange.finding())
     };
-    compare(
-        &mut judgement,
-        robot,
-        &sample.kept,
-        &extremes,
-        gain,
-        &fitted,
-        &payload,
-    );
+    let fits = Fits {
+        fitted: &fitted,
+        payload: &payload,
+    };
+    compare(&mut judgement, robot, &sample.kept, &extremes, gain, &fits);
     if !judgement.refuses() {
         delay(&mut judgement, &layout, &delays, period_s);
     }
