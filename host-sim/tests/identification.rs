@@ -107,6 +107,17 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
 }
 
 #[test]
+fn a_body_picked_up_in_a_validation_log_is_named() {
+    let here = directory("identify-picked");
+    log(&here.join("a.csv"), 3000, 0.0, None, 0.05);
+    let simulate = "simulate --robot ur5 --exact --trajectory validation --duration-s 12";
+    succeeds(&here, &format!("{simulate} --payload 4@6..12 --out b.csv"));
+    let logs = "--log a.csv --validate b.csv --columns coulomb-viscous --methods wls";
+    let (stdout, _) = identified(&here, logs);
+    assert_contains(&stdout, "warning  b.csv: torque error of joint");
+}
+
+#[test]
 fn the_consistent_parameters_are_a_description_that_can_be_used() {
     let here = directory("identify-consistent");
     // Noise enough to drive least squares out of the physical parameters.

@@ -267,6 +267,21 @@ fn foreign_frames_and_any_bits_change_no_torque() {
 }
 
 #[test]
+fn limits_of_the_parameters_are_those_of_the_drives() {
+    let mut parameters = Parameters::nominal::<Ur5>();
+    parameters.bounds[1].torque_nm = 7.0;
+    let controller = Controller::new(config(), &parameters).unwrap();
+    let limits = controller
+        .config()
+        .joints
+        .map(|joint| joint.drive.torque_limit);
+    assert_eq!(limits[1], 7.0);
+    assert_eq!(limits[2], config().joints[2].drive.torque_limit);
+    parameters.bounds[1].torque_nm = 1e4;
+    assert!(Controller::new(config(), &parameters).is_err());
+}
+
+#[test]
 fn contradictions_name_joint_field_and_both_values() {
     let spoils: [fn(&mut BusConfig<6>); 9] = [
         |c| c.period_s = 1e-4,

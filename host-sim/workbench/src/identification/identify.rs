@@ -111,6 +111,7 @@ pub fn identify(
         bound: wls(&data.sums.all, &layout)?,
         results: solve_all(&problem, &data, progress)?,
         truth: config.truth.as_ref().map(|truth| truths(truth, &layout)),
+        unseen: Vec::new(),
         progress,
     };
     let mut methods = study.records(&data)?;
@@ -140,6 +141,11 @@ pub fn identify(
     }
     if let Some(text) = change(&layout, &dataset.sample.kept, &best.candidate) {
         judgement.find(false, text);
+    }
+    for (log, rows) in &study.unseen {
+        if let Some(text) = change(&layout, rows, &best.candidate) {
+            judgement.find(false, format!("{log}: {text}"));
+        }
     }
     let first = validate.first().map(|path| key_of(path, validate));
     let errors = |name: &str| {

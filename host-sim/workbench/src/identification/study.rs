@@ -3,7 +3,7 @@
 use super::IdentifyError;
 use super::columns::{FrictionTerm, Layout};
 use super::consistent::consistent;
-use super::dataset::Dataset;
+use super::dataset::{Dataset, SampleRow};
 use super::judge::description;
 use super::methods::{Fit, MethodName, evidence, wls};
 use super::prepare::PrepareConfig;
@@ -32,6 +32,8 @@ pub(super) struct Study<'a> {
     pub(super) bound: Fit,
     pub(super) results: Vec<MethodResult>,
     pub(super) truth: Option<Vec<Option<f64>>>,
+    /// Rows of the logs that were not trained on, by the names of these.
+    pub(super) unseen: Vec<(String, Vec<SampleRow>)>,
     pub(super) progress: Progress<'a>,
 }
 
@@ -133,6 +135,8 @@ impl Study<'_> {
                 }
                 trace = scores.trace;
             }
+            self.unseen
+                .push((path.display().to_string(), scores.sample));
         }
         let of_linear = methods.remove(LINEAR_PART).unwrap_or_default().validation;
         if let (Some(place), Some((candidate, fit))) = (fallback, linear) {
