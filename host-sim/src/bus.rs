@@ -1,5 +1,5 @@
 //! A bus of drives with a user at the terminal, who ends the torque by a signal and moves the arm on request; and the bytes
-//! by which a board on that bus knows its drives.
+//! from which a board on that bus has its drives.
 
 use super::arm::ArmOptions;
 use super::boards::on_arm;

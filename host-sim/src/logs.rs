@@ -14,10 +14,10 @@ use foretorque_workbench::files::at;
 use foretorque_workbench::identification::{
     ColumnSet, IdentifyError, Judgement, PrepareConfig, judge,
 };
-use foretorque_workbench::overheard::Overheard;
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::robot::{EffortKind, LOG_SOURCES, LogColumns, Robot, Units};
+use foretorque_workbench::telemetry_tap::TelemetryTap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -104,7 +104,7 @@ impl Record {
         let end = self.duration_s.map(Duration::from_secs_f64);
         let end = end.map(|duration| Instant::now() + duration);
         let mut line = Serial::open(port, serial::BAUD)?;
-        let mut overheard = Overheard::new(&self.out, 1e-3 * self.period_ms);
+        let mut telemetry_tap = TelemetryTap::new(&self.out, 1e-3 * self.period_ms);
         let named = |error| at(&self.out, error);
         let mut buffer = [0; 4096];
         let guard = SignalGuard::begin();
@@ -113,11 +113,11 @@ impl Record {
         let mut gone = None;
         while gone.is_none() && runs() {
             match line.receive(&mut buffer, WAIT) {
-                Ok(count) => overheard.take(&buffer[..count]).map_err(named)?,
+                Ok(count) => telemetry_tap.take(&buffer[..count]).map_err(named)?,
                 Err(error) => gone = Some(error),
             }
         }
-        let Some((records, torn)) = overheard.finish().map_err(named)? else {
+        let Some((records, torn)) = telemetry_tap.finish().map_err(named)? else {
             let way = "the host of the board asks for it with Telemetry (docs/protocol.md)";
             return Err(unusable(format!("serial:{port}: no telemetry: {way}")));
         };

@@ -45,7 +45,7 @@ fn exit_code(failure: &Failure) -> u8 {
     1 + u8::from(wrong)
 }
 
-/// Refuses arguments that a command cannot obey.
+/// Refuses arguments without effect on a command.
 fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Refusal(reason.into()))
 }

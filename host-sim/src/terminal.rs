@@ -140,7 +140,7 @@ impl Lines {
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if last.elapsed() >= MINUTE && !console_is_terminal() {
             *last = Instant::now();
-            // Nobody who listens is no failure.
+            // A closed pipe is no failure.
             let _ = writeln!(std::io::stderr(), "{}", line());
         }
     }

@@ -279,9 +279,9 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
 }
 
 /// Ends the emulator of a test that failed, which nothing else would.
-struct Undertaker(i32);
+struct Reaped(i32);
 
-impl Drop for Undertaker {
+impl Drop for Reaped {
     fn drop(&mut self) {
         if std::thread::panicking() && runs(self.0) {
             let _ = kill(Pid::from_raw(self.0), Signal::SIGKILL);
@@ -296,13 +296,13 @@ fn start(here: &Path, board: &str, out: &str) -> Child {
     let mut command = command(here, &format!("{run} --board {board} --out {out}"));
     command.stderr(Stdio::null()).stdout(Stdio::null());
     // A test that was started in the background would pass on that it ignores Ctrl-C.
-    let hear = || {
+    let set_death_signal = || {
         // SAFETY: the default action is no handler that could do harm.
         unsafe { signal(Signal::SIGINT, SigHandler::SigDfl) }?;
         Ok(())
     };
     // SAFETY: between fork and exec the closure makes one system call; it allocates nothing.
-    unsafe { command.pre_exec(hear) };
+    unsafe { command.pre_exec(set_death_signal) };
     command.spawn().expect("the program starts")
 }
 
@@ -323,7 +323,7 @@ fn an_emulator_ends_with_the_program_however_that_ends() {
             files.next().map(drop)
         });
         let emulator = soon("the emulator runs", || child_of(program.id(), 0));
-        let _undertaker = Undertaker(emulator);
+        let _reaped = Reaped(emulator);
         assert!(runs(emulator));
         kill(Pid::from_raw(program.id().cast_signed()), end).expect("it is ours");
         let status = program.wait().expect("it is ours");

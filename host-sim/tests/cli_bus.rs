@@ -243,7 +243,7 @@ fn an_adapter_without_drives_ends_in_one_line() {
     assert_eq!(files(&here.join("out")), ["commission.json"]);
 }
 
-/// A Damiao drive in Python: takes commands, stands where it is told, and prints the torques that it was sent.
+/// A Damiao drive in Python: takes commands, stands where it is set, and prints the torques that it was sent.
 const PYTHON_DRIVES: &str = include_str!("python_drives.py");
 
 #[test]

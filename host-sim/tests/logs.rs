@@ -277,7 +277,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         write(here.join("bad.csv"), planted(&good, change.as_ref()));
         judged(words);
     }
-    // Nothing but the torques tells the rate of this clock.
+    // The rate of this clock is in the torques alone.
     let fast = planted(&good, each(|row| row[0] *= 0.5).as_ref());
     let bare = |line: &str| -> String {
         let fields: Vec<&str> = line.split(',').collect();

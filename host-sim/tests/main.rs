@@ -106,8 +106,8 @@ fn at_port<T>(mut play: impl FnMut(&mut TTYPort) + Send, work: impl FnOnce(&str)
     let (mut line, end) = TTYPort::pair().expect("the system has pseudo-terminals");
     let port = end.name().expect("it has a name");
     drop(end);
-    let patience = Duration::from_millis(5);
-    line.set_timeout(patience).expect("it has a timeout");
+    let timeout = Duration::from_millis(5);
+    line.set_timeout(timeout).expect("it has a timeout");
     let done = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| {

@@ -71,7 +71,7 @@ fn a_board_on_a_serial_port_computes_torque() {
 fn a_line_is_read_along_without_a_byte_sent() {
     let here = directory("record");
     let (mut tick, mut received) = (0, 0);
-    let speak = |line: &mut TTYPort| {
+    let answer = |line: &mut TTYPort| {
         tick += 10;
         let mut record = TelemetryFrame {
             tick,
@@ -90,7 +90,7 @@ fn a_line_is_read_along_without_a_byte_sent() {
         std::thread::sleep(Duration::from_millis(10));
     };
     let record = |port: &str| format!("record --board serial:{port} --duration-s 2 --out");
-    let (port, shown) = at_port(speak, |port| {
+    let (port, shown) = at_port(answer, |port| {
         let shown = succeeds(&here, &format!("{} telemetry.csv", record(port)));
         (port.to_owned(), shown)
     });

@@ -23,7 +23,7 @@ use crate::arms::{oblique::Oblique, ur5_calibrated::Ur5Calibrated};
 use crate::{description, each_arm, native};
 
 /// Longest time to an answer of the emulator on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 
 fn motion<const N: usize>(t: f32, middle: &[(f32, f32); N]) -> JointMotion<N> {
     let phase = |joint: usize| t + joint as f32;
@@ -141,7 +141,7 @@ fn emulated_boards_of_seven_and_eight_joints_give_the_bits_of_the_native_ones() 
             let native: Box<dyn Transport> = Box::new(Native::<Described<N, P>, N, P>::new().unwrap());
             let emulated: Box<dyn Transport> = Box::new(Emulator::start(&options).unwrap());
             let boards = [native, emulated]
-                .map(|board| Client::connect::<Described<N, P>, P>(board, PATIENCE).unwrap());
+                .map(|board| Client::connect::<Described<N, P>, P>(board, TIMEOUT).unwrap());
             the_same_learning::<Described<N, P>, N, P>(boards, 600);
         }, else unreachable!());
     }

@@ -117,8 +117,8 @@ fn booted(name: &str, flash: Option<&Flash>) -> ParameterBank {
         file
     });
     let board = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
-    let patience = Duration::from_secs(5);
-    let client = Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), patience);
+    let timeout = Duration::from_secs(5);
+    let client = Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), timeout);
     let mut client = client.unwrap_or_else(|error| panic!("{error}"));
     client.read_bank().unwrap_or_else(|error| panic!("{error}"))
 }

@@ -208,7 +208,7 @@ const UR5_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
 const ROW_LIMIT_SHARE: f64 = 2e-6;
 
 /// Seconds after which the emulator is stopped; it needs about one.
-const PATIENCE: &str = "120";
+const TIMEOUT: &str = "120";
 
 /// The tables against the firmware as the emulated processor runs it: the ELF `oracle`, built for the board, all arms in one
 /// run. States of the arms, in the order of `each_arm`, and the torques after the run.
@@ -290,7 +290,7 @@ fn emulate(states: &Path, torques: &Path) {
     let (states, torques) = (states.display(), torques.display());
     let semihosting = format!("enable=on,target=native,arg=oracle,arg={states},arg={torques}");
     let status = Command::new("timeout")
-        .args([PATIENCE, "qemu-system-arm", "-machine", "netduinoplus2"])
+        .args([TIMEOUT, "qemu-system-arm", "-machine", "netduinoplus2"])
         .args(["-nographic", "-monitor", "none", "-serial", "none"])
         .args(["-semihosting-config", &semihosting, "-kernel"])
         .arg(&elf)

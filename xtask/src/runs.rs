@@ -49,8 +49,8 @@ pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     shell::run(build.args(images.iter().flat_map(|image| ["--bin", image])))?;
     let version = capture(board.tool("rustc").arg("--version"));
     let version = version.context("rustc reports no version")?;
-    let (elves, root) = (shell::elves(), shell::root());
-    foretorque_cost::bench(&elves, &arms, &root, version.trim(), accept)
+    let (elf_dir, root) = (shell::elf_dir(), shell::root());
+    foretorque_cost::bench(&elf_dir, &arms, &root, version.trim(), accept)
 }
 
 /// Where the arms go, from the workspace's root; `host-sim` looks for their images here.

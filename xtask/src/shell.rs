@@ -115,11 +115,11 @@ pub(crate) fn linked_name() -> String {
 
 /// The linked ELF of a binary of the board.
 pub(crate) fn elf(binary: &str) -> PathBuf {
-    elves().join(binary)
+    elf_dir().join(binary)
 }
 
 /// Directory of the linked ELF files of the board.
-pub(crate) fn elves() -> PathBuf {
+pub(crate) fn elf_dir() -> PathBuf {
     let target = root().join("target");
     target.join(TARGET).join(PROFILE)
 }

@@ -150,7 +150,7 @@ fn images(tools: Tools) -> Vec<Gate> {
         runs("firmware", firmware),
         gate("linked firmware", || {
             let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-            cost::check_firmware(&shell::elves(), &names)
+            cost::check_firmware(&shell::elf_dir(), &names)
         }),
         gate("library for C", move || {
             outside::bring_compiler()?;

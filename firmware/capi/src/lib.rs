@@ -45,7 +45,7 @@ pub struct Foretorque {
     learner: Learner,
     exchange: Exchange,
     /// Learning sample of the last tick, until the learner takes it.
-    lesson: Option<LearningSample<JOINTS>>,
+    pending: Option<LearningSample<JOINTS>>,
     bank: ParameterBank,
     /// Buffer for a bank on its way in, which has no effect before all of it is checked.
     incoming: ParameterBank,
@@ -79,7 +79,7 @@ impl Foretorque {
             let limits = SafetyLimits::for_arm::<Arm, _>(period_us);
             (&raw mut (*place).safety).write(Safety::new(limits, SafetyReason::None));
             (&raw mut (*place).exchange).write(Exchange::new());
-            (&raw mut (*place).lesson).write(None);
+            (&raw mut (*place).pending).write(None);
             (&raw mut (*place).bank).write(ParameterBank::nominal::<Arm, _, _>());
             (&raw mut (*place).incoming).write(ParameterBank::empty());
             (&raw mut (*place).period_us).write(period_us);
@@ -118,7 +118,7 @@ impl Foretorque {
             }
         };
         let measured = sample.and_then(|sample| sample.measured);
-        self.lesson = Some(self.feed_forward.learning_sample(measured));
+        self.pending = Some(self.feed_forward.learning_sample(measured));
         let array = |vector: JointVector<JOINTS>| vector.into();
         ForetorqueTorque {
             total_nm: array(torque.total),
@@ -323,8 +323,8 @@ unsafe fn step(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_learn(it: *mut Foretorque) -> ForetorqueStatus {
     let learn = |it: &mut Foretorque| {
-        if let Some(lesson) = it.lesson.take() {
-            it.learner.learn(&lesson, &mut it.exchange);
+        if let Some(pending) = it.pending.take() {
+            it.learner.learn(&pending, &mut it.exchange);
         }
     };
     // SAFETY: as the caller promises.

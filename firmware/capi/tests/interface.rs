@@ -15,7 +15,7 @@ use std::ptr;
 const TICKS: u32 = 300;
 const NO_TORQUE: [f32; FORETORQUE_JOINTS] = [0.0; FORETORQUE_JOINTS];
 /// Seconds after which the emulator is stopped; it needs less than one.
-const PATIENCE: &str = "60";
+const TIMEOUT_S: &str = "60";
 
 /// An arm in the memory of a C program.
 struct Program {
@@ -339,7 +339,7 @@ fn emulated() -> Vec<String> {
     );
     let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("capi.txt");
     let status = Command::new("timeout")
-        .args([PATIENCE, "qemu-system-arm", "-machine", "netduinoplus2"])
+        .args([TIMEOUT_S, "qemu-system-arm", "-machine", "netduinoplus2"])
         .args(["-display", "none", "-monitor", "none"])
         .args(["-serial", "none", "-icount", "shift=3,sleep=off"])
         .args(["-semihosting-config", "enable=on,target=native,chardev=out"])

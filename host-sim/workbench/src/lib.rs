@@ -7,13 +7,13 @@ pub mod excitation;
 pub mod identification;
 pub mod kinematics;
 pub mod metrics;
-pub mod overheard;
 pub mod parallel;
 pub mod plant;
 pub mod report;
 pub mod snapshot;
 pub mod table;
 pub mod telemetry;
+pub mod telemetry_tap;
 pub mod training;
 pub mod trajectory;
 

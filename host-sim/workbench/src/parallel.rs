@@ -35,7 +35,7 @@ pub(crate) fn stay_on(core: usize) -> io::Result<CpuSet> {
 }
 
 /// Lets the calling thread run wherever the process may, whatever the thread was that started it.
-pub fn roam() {
+pub fn use_every_core() {
     if let Some(everywhere) = EVERYWHERE.get() {
         // Where that fails the thread is slower, and nothing else.
         let _ = sched_setaffinity(THIS_THREAD, everywhere);
@@ -63,7 +63,7 @@ pub fn in_parallel<T: Sync, R: Send>(
         for _ in 0..threads.min(items.len()) {
             let (sender, next, work) = (sender.clone(), &next, &work);
             scope.spawn(move || {
-                roam();
+                use_every_core();
                 loop {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some(item) = items.get(index) else {

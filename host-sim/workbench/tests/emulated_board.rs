@@ -1,6 +1,6 @@
 //! The firmware in the emulator, through its real links.
 
-use crate::trial::{PATIENCE, Talk, connected, credible, native, sample, scratch, started};
+use crate::trial::{Dialogue, TIMEOUT, connected, credible, native, sample, scratch, started};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_f405::chip;
 use foretorque_link::wire::{Configuration, CounterKind, Pacing};
@@ -28,13 +28,13 @@ fn the_flashable_firmware_boots_when_time_is_that_of_the_wall() {
 
 #[test]
 fn the_flashable_firmware_gives_the_same_bytes_as_the_native_board_while_it_learns() {
-    let expected = Talk::begin(native()).learn(600);
+    let expected = Dialogue::begin(native()).learn(600);
     let shared = QemuOptions::new(Image::Joint);
     let mut apart = shared.clone();
     // A host on another core goes on the moment it is answered.
     apart.core = None;
     for options in [shared, apart] {
-        let answered = Talk::begin(started(&options)).learn(600);
+        let answered = Dialogue::begin(started(&options)).learn(600);
         assert!(answered == expected, "joint and native board differ");
     }
 }
@@ -47,8 +47,8 @@ fn the_second_board_answers_as_the_first_and_holds_its_own_enable_low() {
     let mut options = QemuOptions::new(Image::Joint);
     options.elf.set_file_name("joint-pyboard");
     options.trace = Some(trace.clone());
-    let expected = Talk::begin(native()).learn(100);
-    let answered = Talk::begin(started(&options)).learn(100);
+    let expected = Dialogue::begin(native()).learn(100);
+    let answered = Dialogue::begin(started(&options)).learn(100);
     assert!(answered == expected, "the two boards differ");
     let trace = std::fs::read_to_string(trace).expect("the emulator writes a trace");
     let off = |line: &str| line.contains("GPIOB") && line.contains(OFF);
@@ -57,10 +57,10 @@ fn the_second_board_answers_as_the_first_and_holds_its_own_enable_low() {
 
 #[test]
 fn the_bulk_firmware_gives_the_same_bytes_as_the_native_board_while_it_learns() {
-    let expected = Talk::begin(native()).learn(10_000);
-    let answered = Talk::begin(emulator(Image::Bulk)).learn(10_000);
+    let expected = Dialogue::begin(native()).learn(10_000);
+    let answered = Dialogue::begin(emulator(Image::Bulk)).learn(10_000);
     assert!(answered == expected, "bulk and native board differ");
-    let frozen = Talk::begin(native()).learn(0);
+    let frozen = Dialogue::begin(native()).learn(0);
     let learnt = expected[expected.len() - 60..] != frozen[frozen.len() - 60..];
     assert!(learnt, "nothing was learnt");
 }
@@ -94,7 +94,7 @@ fn costs_repeat_from_run_to_run() {
 #[test]
 fn the_timer_runs_the_tick_at_its_period_when_it_paces() {
     let mut client = client(Image::Joint);
-    client.set_timeout(PATIENCE);
+    client.set_timeout(TIMEOUT);
     let configuration = Configuration {
         period_us: 2000,
         pacing: Pacing::SysTick,
@@ -140,7 +140,7 @@ fn a_board_out_of_scope_leaves_no_process_and_the_bulk_firmware_ends_by_itself()
     drop(joint);
     assert!(kill(id, None).is_err(), "the process is reaped");
     let bulk = emulator(Image::Bulk);
-    assert!(bulk.hang_up(PATIENCE).unwrap(), "it ends well");
+    assert!(bulk.hang_up(TIMEOUT).unwrap(), "it ends well");
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn no_learning_sample_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
     // its own time: there the learner has to be fast enough. Where the link paces the answer waits for it.
     for (pacing, samples) in [(Pacing::Link, 700), (Pacing::SysTick, 100)] {
         let mut client = client(Image::Joint);
-        client.set_timeout(PATIENCE);
+        client.set_timeout(TIMEOUT);
         let configuration = Configuration {
             period_us: 1000,
             pacing,

@@ -1,6 +1,6 @@
 //! Arming, time-out, stop, restart and watchdog of the flashable firmware in the emulator, as the pins and the line show it.
 
-use crate::trial::{Talk, Trial, patched, scratch, sealed, started, still};
+use crate::trial::{Dialogue, Trial, patched, scratch, sealed, started, still};
 use foretorque::arm::ur5::JOINTS;
 use foretorque::joint::JointVector;
 use foretorque::limits::Flags;
@@ -85,8 +85,8 @@ fn a_board_paced_by_its_timer_ends_the_torque_when_samples_stay_away() {
 /// The time-out in ticks, as the replies of the board count them.
 #[test]
 fn silence_disarms_a_board_paced_by_its_timer_after_the_time_out_and_not_before() {
-    let mut talk = Talk::begin(started(&QemuOptions::new(Image::Joint)));
-    talk.send(&HostMessage::Configure(Configuration {
+    let mut dialogue = Dialogue::begin(started(&QemuOptions::new(Image::Joint)));
+    dialogue.send(&HostMessage::Configure(Configuration {
         period_us: 250,
         pacing: Pacing::SysTick,
         ..Configuration::default()
@@ -101,9 +101,9 @@ fn silence_disarms_a_board_paced_by_its_timer_after_the_time_out_and_not_before(
             None => &sample,
             Some(_) => &HostMessage::Statistics,
         };
-        talk.send(message);
+        dialogue.send(message);
         loop {
-            let (number, frame) = talk.receive();
+            let (number, frame) = dialogue.receive();
             if let BoardMessage::Torque(torque) = message_of(&frame) {
                 if !Flags(torque.flags).contains(Flags::STALE_SAMPLE) {
                     used = torque.tick;
@@ -114,7 +114,7 @@ fn silence_disarms_a_board_paced_by_its_timer_after_the_time_out_and_not_before(
                     _ => {}
                 }
             }
-            if number == talk.sequence {
+            if number == dialogue.sequence {
                 break;
             }
         }
@@ -243,7 +243,7 @@ fn the_watchdog_is_fed_while_every_task_answers() {
 fn the_watchdog_is_not_fed_when_the_learner_hangs_although_the_tick_goes_on() {
     let mut options = QemuOptions::new(Image::Joint);
     options.elf = hung("EXTI2");
-    let mut trial = Trial::start("hungry", options);
+    let mut trial = Trial::start("unfed", options);
     trial.client.wait_for_learning(false);
     let start = feeds(&trial);
     for _ in 0..100 {

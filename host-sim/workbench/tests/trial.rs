@@ -21,11 +21,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Longest time to a hello or an answer of the emulator on a busy machine.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The client of a UR5's board.
 pub(crate) fn connected(board: impl Transport + 'static) -> Client<JOINTS> {
-    let client = Client::connect::<Ur5, PARAMETERS>(Box::new(board), PATIENCE);
+    let client = Client::connect::<Ur5, PARAMETERS>(Box::new(board), TIMEOUT);
     client.unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -64,7 +64,7 @@ impl Trial {
         let trace = scratch(&format!("{name}.trace"));
         options.trace = Some(trace.clone());
         let mut client = connected(started(&options));
-        client.set_timeout(PATIENCE);
+        client.set_timeout(TIMEOUT);
         Self {
             client,
             options,
@@ -243,24 +243,24 @@ pub(crate) fn credible(k: u32) -> JointSample<JOINTS> {
 }
 
 /// One conversation, question by question, as raw bytes.
-pub(crate) struct Talk<T> {
+pub(crate) struct Dialogue<T> {
     link: T,
     frames: FrameBuffer,
     pub(crate) sequence: u16,
 }
 
-impl<T: Transport> Talk<T> {
+impl<T: Transport> Dialogue<T> {
     /// After the board's own hello, which depends on the board and is not compared.
     pub(crate) fn begin(link: T) -> Self {
-        let mut talk = Self {
+        let mut dialogue = Self {
             link,
             frames: FrameBuffer::new(),
             sequence: 0,
         };
-        talk.send(&HostMessage::Reset);
+        dialogue.send(&HostMessage::Reset);
         // The line may hold a greeting; the acknowledgement of the reset is the first answer with our number.
-        while talk.receive().0 != talk.sequence {}
-        talk
+        while dialogue.receive().0 != dialogue.sequence {}
+        dialogue
     }
 
     pub(crate) fn send(&mut self, message: &HostMessage<JOINTS>) {
@@ -276,7 +276,7 @@ impl<T: Transport> Talk<T> {
         let mut decoder = Decoder::new();
         let mut byte = [0];
         loop {
-            let count = self.link.receive(&mut byte, PATIENCE).unwrap();
+            let count = self.link.receive(&mut byte, TIMEOUT).unwrap();
             assert_eq!(count, 1, "the board answers in time");
             frame.push(byte[0]);
             if let Some(received) = decoder.push(byte[0]) {
@@ -299,15 +299,15 @@ impl<T: Transport> Talk<T> {
         };
         let mut message = self.ask(&HostMessage::Configure(configuration));
         // The learner is done before the next sample comes, however busy this machine is.
-        let patient = |k| SampleFrame::new(&sample(k)).answered_after_learning();
+        let answered_late = |k| SampleFrame::new(&sample(k)).answered_after_learning();
         for _ in 0..ARM_SAMPLES {
-            message.extend(self.ask(&HostMessage::Sample(patient(0))));
+            message.extend(self.ask(&HostMessage::Sample(answered_late(0))));
         }
         message.extend(self.ask(&HostMessage::Arm));
         message.extend(self.ask(&HostMessage::Learning { on: true }));
         for k in 0..ticks {
             if !LOST.contains(&(k % EVERY)) {
-                message.extend(self.ask(&HostMessage::Sample(patient(k).in_period(k as u8))));
+                message.extend(self.ask(&HostMessage::Sample(answered_late(k).in_period(k as u8))));
             }
         }
         message.extend(self.ask(&HostMessage::BankRead {

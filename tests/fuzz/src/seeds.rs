@@ -120,19 +120,19 @@ fn lives() -> Vec<Vec<u8>> {
             ..Configuration::default()
         });
         let mut life = vec![0];
-        let mut say = |message: &HostMessage<6>, periods: u8| {
+        let mut deliver = |message: &HostMessage<6>, periods: u8| {
             let bytes = body(message);
             life.push(bytes.len() as u8);
             life.extend(bytes);
             life.push(PERIODS + periods);
         };
-        say(&configured, 0);
-        (0..3).for_each(|_| say(&still(0.5), 0));
-        say(&HostMessage::Arm, 0);
-        (0..4).for_each(|k| say(&still(0.5 + 1e-3 * k as f32), k));
-        say(&still(0.5), 5);
-        say(end, 11);
-        say(&HostMessage::ClearFault, 0);
+        deliver(&configured, 0);
+        (0..3).for_each(|_| deliver(&still(0.5), 0));
+        deliver(&HostMessage::Arm, 0);
+        (0..4).for_each(|k| deliver(&still(0.5 + 1e-3 * k as f32), k));
+        deliver(&still(0.5), 5);
+        deliver(end, 11);
+        deliver(&HostMessage::ClearFault, 0);
         lives.push(life);
     }
     lives

@@ -37,27 +37,27 @@ const COMMAND_CYCLES: u64 = 16_800;
 /// Place of the figures, from the workspace's root.
 const OUT: &str = "target/foretorque/bench.json";
 
-/// Measures the ELF files `bench`, `joint`, `joint-drive` and `joint-can` in `elves`, prints the table, writes `bench.json`
+/// Measures the ELF files `bench`, `joint`, `joint-drive` and `joint-can` in `elf_dir`, prints the table, writes `bench.json`
 /// below `root`, and compares with the budget; `accept` writes the budget anew.
 ///
 /// * `arms` numbers of joints of other arms, and directories with their `bench` and `joint`
 /// * `toolchain` version line of the compiler that built them
 pub fn bench(
-    elves: &Path,
+    elf_dir: &Path,
     arms: &[(usize, PathBuf)],
     root: &Path,
     toolchain: &str,
     accept: bool,
 ) -> Result<()> {
-    let (rows, spread) = row::measure(&elves.join("bench"))?;
-    let joint = Image::read(&elves.join(JOINT))?;
+    let (rows, spread) = row::measure(&elf_dir.join("bench"))?;
+    let joint = Image::read(&elf_dir.join(JOINT))?;
     let reached = firmware::check(&joint)?;
     let memory = Memory::of(&joint)?;
-    let drive = firmware(elves, DRIVE)?;
-    let can = firmware(elves, CAN)?;
+    let drive = firmware(elf_dir, DRIVE)?;
+    let can = firmware(elf_dir, CAN)?;
 
     let arms = arms.iter();
-    let arms = arms.map(|(joints, elves)| Arm::measure(*joints, elves));
+    let arms = arms.map(|(joints, elf_dir)| Arm::measure(*joints, elf_dir));
     let arms = arms.collect::<Result<Vec<_>>>()?;
 
     let images = [(JOINT, &memory), (DRIVE, &drive), (CAN, &can)];
@@ -99,10 +99,10 @@ pub fn bench(
     Ok(())
 }
 
-/// The gates on the linked firmware `names` in `elves`: no handler reaches a forbidden function, and the stack fits.
-pub fn check_firmware(elves: &Path, names: &[&str]) -> Result<()> {
+/// The gates on the linked firmware `names` in `elf_dir`: no handler reaches a forbidden function, and the stack fits.
+pub fn check_firmware(elf_dir: &Path, names: &[&str]) -> Result<()> {
     let mut names = names.iter();
-    names.try_for_each(|name| firmware(elves, name).map(|_| ()))
+    names.try_for_each(|name| firmware(elf_dir, name).map(|_| ()))
 }
 
 /// Bytes of flash and of static RAM of any firmware.
@@ -112,9 +112,9 @@ pub fn sizes(elf: &Path) -> Result<(u32, u32)> {
 }
 
 /// Memory of one firmware, after its gates.
-fn firmware(elves: &Path, name: &str) -> Result<Memory> {
+fn firmware(elf_dir: &Path, name: &str) -> Result<Memory> {
     let check = || -> Result<_> {
-        let image = Image::read(&elves.join(name))?;
+        let image = Image::read(&elf_dir.join(name))?;
         Ok((firmware::check(&image)?, Memory::of(&image)?))
     };
     let (reached, memory) = check().with_context(|| format!("firmware `{name}`"))?;
@@ -138,16 +138,16 @@ struct Arm {
 const STEPS: [&str; 2] = ["feedforward_step", "learning_step"];
 
 impl Arm {
-    /// Measures the ELF files `bench` and `joint` in `elves`.
-    fn measure(joints: usize, elves: &Path) -> Result<Self> {
-        let (rows, _) = row::measure(&elves.join("bench"))?;
+    /// Measures the ELF files `bench` and `joint` in `elf_dir`.
+    fn measure(joints: usize, elf_dir: &Path) -> Result<Self> {
+        let (rows, _) = row::measure(&elf_dir.join("bench"))?;
         let mut cycles = [0; 2];
         for (cycles, name) in cycles.iter_mut().zip(STEPS) {
             let row = rows.iter().find(|row| row.name == name);
             let row = row.with_context(|| format!("`bench` has no row `{name}`"))?;
             *cycles = row.cycles.ceil() as u64;
         }
-        let memory = firmware(elves, JOINT)?;
+        let memory = firmware(elf_dir, JOINT)?;
         Ok(Self {
             joints,
             cycles,

@@ -337,7 +337,7 @@ mod tests {
         }
 
         /// Takes a frame from the bus, through the filters of `can1`.
-        fn hear(&mut self, [id, length, low, high]: [u32; 4], can1: &Self) {
+        fn accept_frame(&mut self, [id, length, low, high]: [u32; 4], can1: &Self) {
             let second_bank = can1.filter(offset::FMR) >> 8 & 0x3f;
             let bank = if self.second { second_bank } else { 0 };
             let open = can1.filter(offset::FMR) & FINIT == 0
@@ -356,7 +356,7 @@ mod tests {
         }
 
         /// The next frame that goes to the bus.
-        fn speak(&mut self) -> Option<[u32; 4]> {
+        fn take_frame(&mut self) -> Option<[u32; 4]> {
             let [id, length, low, high] = self.mailboxes[self.pending.pop_front()?];
             Some([id & !TXRQ, length, low, high])
         }
@@ -433,9 +433,9 @@ mod tests {
                 Err(error) => assert_eq!((error, sent.len()), (CanError::Full, 3)),
             }
             if !next().is_multiple_of(3)
-                && let Some(words) = near.registers.speak()
+                && let Some(words) = near.registers.take_frame()
             {
-                far.registers.hear(words, &near.registers);
+                far.registers.accept_frame(words, &near.registers);
                 assert_eq!(far.receive(), sent.pop_front());
                 received += 1;
             }
@@ -449,8 +449,8 @@ mod tests {
         let frames: Vec<Frame> = (0..5).map(|id| Frame::standard(id, &[id as u8])).collect();
         for frame in &frames {
             near.send(frame).unwrap();
-            let words = near.registers.speak().unwrap();
-            far.registers.hear(words, &near.registers);
+            let words = near.registers.take_frame().unwrap();
+            far.registers.accept_frame(words, &near.registers);
         }
         // Three fit: the first two and the last.
         assert_eq!(far.receive(), Some(frames[0]));
@@ -469,7 +469,8 @@ mod tests {
         }
         assert_eq!(near.send(&frames[3]), Err(CanError::Full));
         // A length beyond 8 means eight bytes.
-        far.registers.hear([5 << 21, 15, 1, 2], &near.registers);
+        far.registers
+            .accept_frame([5 << 21, 15, 1, 2], &near.registers);
         let eight = Frame::standard(5, &[1, 0, 0, 0, 2, 0, 0, 0]);
         assert_eq!(far.receive(), Some(eight));
     }

@@ -54,7 +54,7 @@ const _: () = assert!(headroom_permille(full_torque(7), 1000, LINK_BYTES_S) >= 3
 
 /// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
 pub const WATCHDOG_PRESCALER: u8 = 2;
-/// Counts after which an unfed watchdog bites: 68 to 188 ms: three of the longest periods.
+/// Counts after which a watchdog that is not fed resets the board: 68 to 188 ms: three of the longest periods.
 pub const WATCHDOG_RELOAD: u16 = 200;
 
 #[cfg(test)]
@@ -94,8 +94,8 @@ mod tests {
             let cost = format!("≤ {RECEIVE_INSTRUCTIONS} | {counts} | {}", share(sample));
             assert_eq!(row(&page[heading..], &name), format!("{name} {cost} |"));
             let sums = format!("({sample} + {reply}) × {counts}");
-            for told in [sums, share(sample + reply)] {
-                assert!(page.contains(&told), "{joints} joints: {told}");
+            for stated in [sums, share(sample + reply)] {
+                assert!(page.contains(&stated), "{joints} joints: {stated}");
             }
         }
     }

@@ -51,7 +51,7 @@ pub fn release_brake<B: Board>(open: bool) {
     }
 }
 
-/// Why the board restarted last time, and where; forgets it.
+/// Why the board restarted last time, and where; clears it.
 pub fn take() -> (Reason, u32) {
     let kept = &raw mut KEPT;
     // SAFETY: called once, from `init`, with interrupts off; any bit pattern is a valid [u32; 4].
@@ -95,9 +95,9 @@ pub fn keep_latched(fault: SafetyReason) {
     };
 }
 
-/// Why the board started, for the link: what was kept, else what the chip remembers (RM0090 7.3.21), and forgets.
+/// Why the board started, for the link: what was kept, else the flags of the chip (RM0090 7.3.21); clears both.
 ///
-/// The emulator's chip remembers nothing.
+/// The emulator's chip has no such flags.
 pub fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
     let chip = rcc.csr().read();
     rcc.csr().modify(|_, w| w.rmvf().set_bit());

@@ -39,7 +39,7 @@ impl Watchdog {
 
     /// Gives `work` the longest time there is: erasing the flash stalls every task for seconds, and only a board without
     /// torque does it. To be called after [`feed_if_all_present`](Self::feed_if_all_present) has fed.
-    pub(crate) fn patient<T>(&self, work: impl FnOnce() -> T) -> T {
+    pub(crate) fn with_longest_time<T>(&self, work: impl FnOnce() -> T) -> T {
         self.set(LONGEST_PRESCALER, LONGEST_RELOAD);
         let done = work();
         self.set(chip::WATCHDOG_PRESCALER, chip::WATCHDOG_RELOAD);
@@ -73,7 +73,7 @@ impl Watchdog {
     }
 
     fn key(&self, key: u16) {
-        // SAFETY: the key register takes any word and obeys these three.
+        // SAFETY: the key register takes any word, and these three have an effect.
         self.0.kr().write(|w| unsafe { w.bits(key) });
     }
 }

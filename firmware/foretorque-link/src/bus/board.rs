@@ -211,7 +211,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrive
     }
 }
 
-/// Weight of a command over that of the next one. The filter remembers ten commands: positions of 16 bits over ±12.5 rad
+/// Weight of a command over that of the next one. The memory of the filter is ten commands: positions of 16 bits over ±12.5 rad
 /// at 500 Hz then give accelerations with a standard deviation of 0.04 rad/s².
 const MEMORY: f32 = 0.9;
 

@@ -169,7 +169,7 @@ impl<const N: usize> BusDrives<N> {
         self.phase = BusPhase::Off;
     }
 
-    /// Forgets a fault; every scale is read again.
+    /// Clears a fault; every scale is read again.
     pub fn clear(&mut self) {
         self.fault = None;
         self.losses = 0;

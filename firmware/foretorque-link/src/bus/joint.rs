@@ -38,7 +38,7 @@ enum ScaleCheck {
     Different(f32),
 }
 
-/// State of one joint's drive as the loop knows it.
+/// State of one joint's drive as the loop has it.
 pub(super) struct JointLink {
     pub(super) joint: BusJoint,
     pub(super) carry: Carry,
@@ -229,7 +229,7 @@ impl JointLink {
         found.map(|(scale, _)| scale)
     }
 
-    /// Forgets the scales, so that they are read again.
+    /// Drops the scales, so that they are read again.
     pub(super) fn restart(&mut self) {
         let counters = self.counters;
         *self = Self::new(self.joint);

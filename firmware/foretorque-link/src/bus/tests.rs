@@ -43,7 +43,7 @@ fn controller(config: BusConfig<6>) -> Result<Controller, Contradiction> {
     Controller::new(config, &Parameters::nominal::<Ur5>())
 }
 
-/// Drives that stand where they are told, with a switch for each.
+/// Drives that stand where they are set, with a switch for each.
 struct Drives {
     config: BusConfig<6>,
     on: [bool; 6],
@@ -283,7 +283,7 @@ fn limits_of_the_parameters_are_those_of_the_drives() {
 
 #[test]
 fn contradictions_name_joint_field_and_both_values() {
-    let spoils: [fn(&mut BusConfig<6>); 9] = [
+    let corruptions: [fn(&mut BusConfig<6>); 9] = [
         |c| c.period_s = 1e-4,
         |c| c.joints[1].drive.torque_limit = 180.0,
         |c| {
@@ -308,9 +308,9 @@ fn contradictions_name_joint_field_and_both_values() {
         "joint 6: range of position 1.25 contradicts the travel of the arm from its zero 6.38",
         "joint 5: kd NaN contradicts the least value 0",
     ];
-    for (named, spoil) in refusals.into_iter().zip(spoils) {
+    for (named, corrupt) in refusals.into_iter().zip(corruptions) {
         let mut config = config();
-        spoil(&mut config);
+        corrupt(&mut config);
         let message = controller(config).err().expect(named).to_string();
         assert!(message.starts_with(named), "{message}");
     }

@@ -32,7 +32,7 @@ impl Clock for NoClock {
 /// Sensor of the board's own joints, whose measurements replace those of the sample.
 pub trait LocalSensor<const N: usize> {
     /// Writes the measurements into the sample. Called once in every tick, with the sample if one arrived. A sensor that
-    /// also knows the desired motion may make a sample where none arrived, and withhold one that must not be used yet.
+    /// also has the desired motion may make a sample where none arrived, and withhold one that must not be used yet.
     ///
     /// * `at_rest` no torque flows
     ///

@@ -1,4 +1,4 @@
-//! A serial arm of revolute joints as the board sees it: constants of geometry, base-parameter map and limits; base
+//! A serial arm of revolute joints as the board has it: constants of geometry, base-parameter map and limits; base
 //! parameters from the figures of a data sheet.
 
 pub mod panda;

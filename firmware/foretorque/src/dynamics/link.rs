@@ -19,7 +19,7 @@ pub(super) struct LinkMotion {
 }
 
 impl LinkMotion {
-    /// The base: at rest, accelerating with −g, which makes every link feel gravity (Craig 2005, section 6.5).
+    /// The base: at rest, accelerating with −g, which gives every link its gravity (Craig 2005, section 6.5).
     #[inline(always)]
     pub(super) fn base<A: Arm<N, P>, const N: usize, const P: usize>() -> Self {
         let [x, y, z] = *A::gravity();

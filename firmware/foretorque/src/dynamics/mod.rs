@@ -1,4 +1,4 @@
-//! Inverse dynamics on the base parameters. Knows nothing of learning.
+//! Inverse dynamics on the base parameters. Independent of learning.
 
 /// Most joints of an arm: as often the bodies below are written out.
 pub const MAX_JOINTS: usize = 8;

@@ -67,7 +67,7 @@ fn row<A: Arm<N, P>, const N: usize, const P: usize>(
 
 /// The joint torque regressor over the base set: `tau = Y beta` (eq. 13–16), one row for each joint.
 ///
-/// A unit of one link parameter makes a force F and a moment n about the link origin; joint r feels them through its
+/// A unit of one link parameter makes a force F and a moment n about the link origin; they act on joint r through its
 /// partial velocities at that origin, `s · n + v · F` [Kane and Levinson 1985, section 4.4].
 ///
 /// Limits: those of [`regressor_row`].

@@ -285,11 +285,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         Ok(())
     }
 
-    /// Switches learning on or off (frozen) from the next tick on. The learner sees an end in one sample at least, also if
+    /// Switches learning on or off (frozen) from the next tick on. The learner receives an end in one sample at least, also if
     /// learning is on again before the next tick.
     pub fn set_learning(&mut self, enabled: bool) {
         if !enabled {
-            // The end of the next tick takes one; its sample comes after that and sees the other.
+            // The end of the next tick takes one; its sample comes after that and has the other.
             self.state.off_ticks = 2;
         }
         self.state.learning = enabled;

@@ -1,4 +1,4 @@
-//! The back-propagation (BP) network and its gradient. Knows nothing of robots.
+//! The back-propagation (BP) network and its gradient. Independent of robots.
 
 mod gradient;
 
@@ -421,16 +421,16 @@ mod tests {
     #[test]
     fn one_bad_weight_is_noticed_in_every_layer() {
         type Net = BpNetwork<3, 6, 1>;
-        let spoil: [fn(&mut Net); 4] = [
+        let corrupt: [fn(&mut Net); 4] = [
             |n| n.hidden_weights[(5, 2)] = f32::NAN,
             |n| n.hidden_bias[5] = f32::INFINITY,
             |n| n.output_weights[(0, 5)] = f32::NEG_INFINITY,
             |n| n.output_bias[0] = f32::NAN,
         ];
         assert!(Net::random(1).is_finite());
-        for spoil in spoil {
+        for corrupt in corrupt {
             let mut network = Net::random(1);
-            spoil(&mut network);
+            corrupt(&mut network);
             assert!(!network.is_finite());
         }
     }

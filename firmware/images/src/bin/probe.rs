@@ -58,8 +58,8 @@ mod proof {
             session.note_overrun();
             session.send_hello(&mut out);
             // The learner as the board runs it, and as the other owners do.
-            while let Some(lesson) = mailboxes.learner.begin(&mut learner) {
-                learner.study(&lesson);
+            while let Some(sample) = mailboxes.learner.begin(&mut learner) {
+                learner.study(&sample);
                 mailboxes.learner.finish(&mut learner, black_box(1));
             }
             mailboxes.learner.work(&mut learner, &Opaque);

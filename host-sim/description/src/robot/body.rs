@@ -28,13 +28,13 @@ impl Link {
     /// Second moments of mass below a thousandth of the largest become that: the nearest in the Frobenius norm that keeps
     /// a margin.
     pub fn repaired(&self) -> (Self, f64) {
-        let repaired = self.thickened(|moments| (1e-3 * moments.max()).max(1e-9));
+        let repaired = self.with_least_moments(|moments| (1e-3 * moments.max()).max(1e-9));
         let change = (repaired.inertia_com - self.inertia_com).amax();
         (repaired, change)
     }
 
     /// The link with its principal second moments of mass raised to `least` of them, kg·m².
-    pub fn thickened(&self, least: impl Fn(&Vector3<f64>) -> f64) -> Self {
+    pub fn with_least_moments(&self, least: impl Fn(&Vector3<f64>) -> f64) -> Self {
         let mut moments = self.second_moments().symmetric_eigen();
         let least = least(&moments.eigenvalues);
         let raise = |moment: &mut f64| *moment = moment.max(least);

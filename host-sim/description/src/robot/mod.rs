@@ -109,7 +109,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Those the board knows, in its precision.
+    /// Those of the board, in its precision.
     pub fn of_board(&self) -> JointLimits {
         JointLimits {
             position: (self.position.0 as f32, self.position.1 as f32),

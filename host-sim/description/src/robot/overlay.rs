@@ -57,7 +57,7 @@ impl Robot {
         files
     }
 
-    /// An overlay on `from` that says of every drive, friction and limit what this robot has: a start for values of one's own.
+    /// An overlay on `from` with every drive, friction and limit of this robot: a start for values of one's own.
     ///
     /// * `selection` by which this robot was read
     ///

@@ -117,13 +117,13 @@ impl BadLine {
         let random = &mut self.random;
         match self.damage {
             Damage::Flips => {
-                let mut spoilt = frame.to_vec();
+                let mut corrupted = frame.to_vec();
                 let mut bits: Vec<usize> = (0..8 * frame.len()).collect();
                 bits.shuffle(random);
                 for bit in bits.into_iter().take(random.random_range(1..=8)) {
-                    spoilt[bit / 8] ^= 1 << (bit % 8);
+                    corrupted[bit / 8] ^= 1 << (bit % 8);
                 }
-                line.extend(spoilt);
+                line.extend(corrupted);
             }
             Damage::Truncation => {
                 let whole = random.random_range(0..frame.len() - 1);
@@ -153,21 +153,21 @@ impl BadLine {
     }
 
     fn noise(&mut self, frame: &[u8]) -> Vec<u8> {
-        let mut spoilt = frame.to_vec();
+        let mut corrupted = frame.to_vec();
         self.frames += 1;
-        for (place, byte) in spoilt.iter_mut().enumerate() {
+        for (place, byte) in corrupted.iter_mut().enumerate() {
             let sure = (self.frames, place) == (EARLY, 0);
             if sure || self.random.random_ratio(1, 10_000) {
                 *byte ^= self.random.random_range(1..=255u8);
                 self.injected += 1;
             }
         }
-        spoilt
+        corrupted
     }
 
     fn bursts(&mut self, frame: &[u8]) -> Vec<u8> {
-        let mut spoilt = frame.to_vec();
-        for byte in &mut spoilt {
+        let mut corrupted = frame.to_vec();
+        for byte in &mut corrupted {
             // 32 bytes in the mean, one burst in 3200 bytes: 1 %.
             if self.left == 0 && self.random.random_ratio(1, 3200) {
                 self.left = self.random.random_range(1..=64);
@@ -178,6 +178,6 @@ impl BadLine {
                 self.injected += 1;
             }
         }
-        spoilt
+        corrupted
     }
 }

@@ -189,7 +189,7 @@ pub(super) fn strange_numbers(
         }
         let message = if random.random() {
             let mut sample = host.sample();
-            spoil(&mut sample, &mut random);
+            corrupt(&mut sample, &mut random);
             host.message(&sample)
         } else {
             let mut motion = MotionFrame::from(&host.sample().desired);
@@ -207,7 +207,7 @@ fn strange(random: &mut ChaCha8Rng) -> f32 {
     *STRANGE.choose(random).unwrap_or(&f32::NAN)
 }
 
-fn spoil(sample: &mut JointSample<JOINTS>, random: &mut ChaCha8Rng) {
+fn corrupt(sample: &mut JointSample<JOINTS>, random: &mut ChaCha8Rng) {
     let joint = random.random_range(0..JOINTS);
     let desired = &mut sample.desired;
     let Some(measured) = &mut sample.measured else {
@@ -293,7 +293,7 @@ mod tests {
         let mut sample = host.sample();
         sample.desired.qdd = JointVector::repeat(5.0);
         let message = host.message(&sample);
-        let frame = host.rig.vain_frame(&message);
+        let frame = host.rig.unreferenced_frame(&message);
         host.rig.send(&frame.bytes).unwrap();
         host.work().unwrap();
         assert!(host.rig.wrong_torques > 0);

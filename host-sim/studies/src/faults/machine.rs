@@ -17,7 +17,7 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// Trace of a write to the set/reset register of GPIOB that switches the torque enable, PB12, on or off (RM0090 8.4.7).
 const ON: &str = "write (size 4, offset 0x018, value 0x00001000)";
 const OFF: &str = "write (size 4, offset 0x018, value 0x10000000)";
@@ -80,7 +80,7 @@ impl Trial {
     pub fn hello(&mut self) -> io::Result<Option<BoardHello>> {
         let mut decoder = Decoder::new();
         let mut buffer = [0; 1];
-        while self.emulator.receive(&mut buffer, PATIENCE)? == 1 {
+        while self.emulator.receive(&mut buffer, TIMEOUT)? == 1 {
             if let Some(Ok(frame)) = decoder.push(buffer[0])
                 && let Ok(BoardMessage::<JOINTS>::Hello(hello)) = frame.message()
             {
@@ -128,31 +128,36 @@ pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campai
     Ok(campaign)
 }
 
-/// Periods without food after which the watchdog bites.
-const HUNGER: u32 = 100;
+/// Periods without feeding after which the watchdog resets the board.
+const WATCHDOG_PERIODS: u32 = 100;
 
-/// `times` lives of a board in which one task, any of them, stops answering at some moment. The watchdog must bite, the
+/// `times` lives of a board in which one task, any of them, stops answering at some moment. The watchdog must reset the board, the
 /// board must come back disarmed with the reason, refuse to be armed until that was taken note of, and then work.
-pub(super) fn watchdog_bites(times: u32, seed: u64) -> Result<Campaign, StudyError> {
-    let mut campaign = Campaign::new("watchdog bite", "native");
+pub(super) fn watchdog_resets(times: u32, seed: u64) -> Result<Campaign, StudyError> {
+    let mut campaign = Campaign::new("watchdog reset", "native");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     for _ in 0..times {
         let silent = Task::ALL[random.random_range(0..Task::ALL.len())];
         let end = random.random_range(0..1000);
         let tasks = TaskCheckIn::new();
-        let mut left = HUNGER;
-        let bite = (0..end + 2 * HUNGER).find(|&period| {
+        let mut left = WATCHDOG_PERIODS;
+        let expired = (0..end + 2 * WATCHDOG_PERIODS).find(|&period| {
             for task in Task::ALL {
                 if task != silent || period < end {
                     tasks.check_in(task);
                 }
             }
-            left = if tasks.complete() { HUNGER } else { left - 1 };
+            left = if tasks.complete() {
+                WATCHDOG_PERIODS
+            } else {
+                left - 1
+            };
             left == 0
         });
         campaign.injected += 1;
-        // Not before the task stopped, and at once when the hunger is over.
-        let in_time = bite.is_some_and(|bite| (end..end + HUNGER).contains(&bite));
+        // Not before the task stopped, and at once when its time is over.
+        let in_time =
+            expired.is_some_and(|expired| (end..end + WATCHDOG_PERIODS).contains(&expired));
         let (quiet, back) = restarted()?;
         campaign.wrong_torques += u64::from(!quiet);
         campaign.recovered += u64::from(in_time && back);
@@ -167,7 +172,7 @@ fn restarted() -> Result<(bool, bool), StudyError> {
         ..BoardDescription::plain(NoClock)
     };
     let native = Native::<Ur5, JOINTS, PARAMETERS>::described(description, NoLocalSensor)?;
-    let mut board = Client::connect::<Ur5, PARAMETERS>(Box::new(native), PATIENCE)?;
+    let mut board = Client::connect::<Ur5, PARAMETERS>(Box::new(native), TIMEOUT)?;
     let zero = JointVector::zeros();
     let still = JointSample {
         desired: JointMotion::zero(),

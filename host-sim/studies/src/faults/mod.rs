@@ -21,7 +21,7 @@ use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Native, Transport};
 use foretorque_workbench::snapshot::aligned;
 use link::{damaged_line, foreign_frames, strange_numbers};
-use machine::{Crash, crashes, watchdog_bites};
+use machine::{Crash, crashes, watchdog_resets};
 use rig::Round;
 use serde::Serialize;
 use std::path::Path;
@@ -253,7 +253,7 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
     }
     flash(&mut all, lengths, seed);
     all.push(Scenario::new("watchdog", move || {
-        watchdog_bites(lengths.times, seed)
+        watchdog_resets(lengths.times, seed)
     }));
     for crash in Crash::ALL {
         let trace = scratch.join(format!("{}.trace", crash.name.replace(' ', "-")));

@@ -9,7 +9,7 @@ use foretorque_link::wire::{BoardMessage, Decoder, FrameBuffer, HostMessage, MAX
 use foretorque_workbench::board::{BoardError, Native, Transport};
 use std::time::{Duration, Instant};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 /// Intact frames behind every line, from whose replies the resynchronisation is measured.
 const MARKERS: u32 = 3;
 const BUFFER: usize = 4096;
@@ -85,7 +85,7 @@ impl Rig {
     }
 
     /// The frame of a message that the reference shall never get.
-    pub(super) fn vain_frame(&mut self, message: &HostMessage<JOINTS>) -> Frame {
+    pub(super) fn unreferenced_frame(&mut self, message: &HostMessage<JOINTS>) -> Frame {
         let mut frame = self.frame(message);
         frame.referred = false;
         self.sent[usize::from(frame.sequence)] = Some(frame.clone());
@@ -125,7 +125,7 @@ impl Rig {
             resynchronised: MARKERS + 1,
             ..Round::default()
         };
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         let mut marked = false;
         loop {
             for (sequence, message) in self.listen()? {
@@ -168,7 +168,7 @@ impl Rig {
 
     fn listen(&mut self) -> Result<Vec<(u16, BoardMessage<JOINTS>)>, BoardError> {
         let mut buffer = [0; BUFFER];
-        let count = self.transport.receive(&mut buffer, PATIENCE);
+        let count = self.transport.receive(&mut buffer, TIMEOUT);
         let count = count.map_err(|error| BoardError::Closed(self.transport.name(), error))?;
         let mut messages = Vec::new();
         for &byte in buffer.get(..count).unwrap_or_default() {
@@ -216,7 +216,7 @@ impl Rig {
         let gone = |error| BoardError::Closed("reference".into(), error);
         self.reference.send(&frame.bytes).map_err(gone)?;
         let mut buffer = [0; FrameBuffer::CAPACITY];
-        let count = self.reference.receive(&mut buffer, PATIENCE);
+        let count = self.reference.receive(&mut buffer, TIMEOUT);
         let count = count.map_err(gone)?;
         let mut answer = None;
         for &byte in buffer.get(..count).unwrap_or_default() {

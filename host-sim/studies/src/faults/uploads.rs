@@ -60,7 +60,7 @@ pub(super) fn bad_uploads(
             let frame = host.rig.frame(&message);
             host.rig.send_frame(&frame)?;
         }
-        let accepted = spoilt_upload(&mut host, bad, number, &mut random)?;
+        let accepted = corrupted_upload(&mut host, bad, number, &mut random)?;
         // A bank that is read back is compared piece by piece with the reference's.
         let wrong = host.rig.wrong_torques;
         for offset in (0..good.len()).step_by(CHUNK) {
@@ -97,13 +97,13 @@ fn upload(bank: &[u8], length: usize) -> Vec<HostMessage<JOINTS>> {
 }
 
 /// Uploads what must not be taken over. True when the board took it.
-fn spoilt_upload(
+fn corrupted_upload(
     host: &mut Host,
     bad: BadUpload,
     number: u32,
     random: &mut ChaCha8Rng,
 ) -> Result<bool, BoardError> {
-    let bank = spoilt_bank(bad, number, random);
+    let bank = corrupted_bank(bad, number, random);
     let cut = matches!(bad, BadUpload::Interrupted | BadUpload::Reset);
     let length = match cut {
         true => random.random_range(0..bank.len()),
@@ -122,7 +122,7 @@ fn spoilt_upload(
         // The reference gets the reset alone.
         let frame = match message {
             HostMessage::Reset => host.rig.frame(message),
-            _ => host.rig.vain_frame(message),
+            _ => host.rig.unreferenced_frame(message),
         };
         answer = host.rig.send_frame(&frame)?.answers.pop();
     }
@@ -131,7 +131,7 @@ fn spoilt_upload(
 }
 
 /// A bank that no board for this robot may take over; or a good one, where the upload is what fails.
-fn spoilt_bank(bad: BadUpload, number: u32, random: &mut ChaCha8Rng) -> Vec<u8> {
+fn corrupted_bank(bad: BadUpload, number: u32, random: &mut ChaCha8Rng) -> Vec<u8> {
     let mut bytes = set(1000 + number);
     let Ok(mut bank) = ParameterBank::decode(&bytes) else {
         return bytes;
@@ -177,7 +177,7 @@ mod tests {
         let mut host = Host::new(Box::new(native), false).unwrap();
         let bank = set(5);
         for message in upload(&bank, bank.len()) {
-            let frame = host.rig.vain_frame(&message);
+            let frame = host.rig.unreferenced_frame(&message);
             host.rig.send_frame(&frame).unwrap();
         }
         let offset = HostMessage::BankRead {

@@ -10,7 +10,7 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::board::{Client, Native, Transport};
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::metrics::TorqueError;
-use foretorque_workbench::parallel::roam;
+use foretorque_workbench::parallel::use_every_core;
 use foretorque_workbench::plant::{Events, Payload, Plant, PlantConfig};
 use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::robot::{Perturbation, Robot};
@@ -190,11 +190,11 @@ pub fn run(
     };
     let (native, twin, other_bits) = std::thread::scope(|scope| {
         let native = scope.spawn(|| {
-            roam();
+            use_every_core();
             native(&setup, config.ticks, &advance)
         });
         let twin = scope.spawn(|| {
-            roam();
+            use_every_core();
             let mut source = Source::new(&setup)?;
             let samples = (0..config.ticks).map(|_| source.next());
             let prior = setup.wrong.set::<Ur5, N, P>()?;

@@ -42,7 +42,7 @@ pub(super) struct Twin {
     covariance: DMatrix<f64>,
     variance: [f64; N],
     noticed: [f64; N],
-    wandering: [usize; N],
+    direction: [usize; N],
 }
 
 /// Prior covariance of the parameters, in units of the prior standard deviations: friction uncorrelated, base parameters
@@ -77,7 +77,7 @@ impl Twin {
             covariance: prior_covariance(),
             variance: Estimator::new::<Ur5>(prior).variance().map(f64::from),
             noticed: [FIRST_ROWS; N],
-            wandering: [0; N],
+            direction: [0; N],
         }
     }
 
@@ -90,7 +90,7 @@ impl Twin {
         let value = &self.start + self.sigma.component_mul(&self.theta);
         let innovation = (f64::from(tau) - raw.dot(&value)) / unit;
         let phi = raw.component_mul(&self.sigma) / unit;
-        let turn = &mut self.wandering[joint];
+        let turn = &mut self.direction[joint];
         let columns = RANDOM_WALK_COLUMNS.len();
         let column = RANDOM_WALK_COLUMNS[*turn];
         let k = joint * FRICTION_COLUMNS + column as usize;

@@ -74,12 +74,12 @@ impl Guarded {
         self.child.id()
     }
 
-    /// Waits for the emulator to end, at most `patience`.
-    pub(crate) fn ended(&mut self, patience: Duration) -> io::Result<Option<ExitStatus>> {
-        let deadline = Instant::now() + patience;
+    /// Waits for the emulator to end, at most `timeout`.
+    pub(crate) fn ended(&mut self, timeout: Duration) -> io::Result<Option<ExitStatus>> {
+        let deadline = Instant::now() + timeout;
         loop {
             if let Some(status) = self.child.try_wait()? {
-                self.hear_out();
+                self.join_reader();
                 return Ok(Some(status));
             }
             if Instant::now() >= deadline {
@@ -90,14 +90,14 @@ impl Guarded {
     }
 
     /// Waits for the last lines of an emulator that has ended.
-    fn hear_out(&mut self) {
+    fn join_reader(&mut self) {
         if let Some(reader) = self.reader.take() {
             let _ = reader.join();
         }
     }
 
     /// Last message of the emulator about itself on stderr, else its last line: when it gives up it also lists all registers.
-    pub(crate) fn last_words(&self) -> Option<String> {
+    pub(crate) fn last_message(&self) -> Option<String> {
         let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
         let own = lines.iter().rev().find(|line| line.starts_with("qemu"));
         own.or(lines.back()).cloned()
@@ -109,7 +109,7 @@ impl Drop for Guarded {
         // Both fail only when the child is gone already, which is what is wanted.
         let _ = self.child.kill();
         let _ = self.child.wait();
-        self.hear_out();
+        self.join_reader();
         if let Some(before) = &self.affinity {
             let _ = sched_setaffinity(Pid::from_raw(0), before);
         }
@@ -120,8 +120,8 @@ impl Drop for Guarded {
 /// when the *thread* that started it ends, which must not happen to a board handed from one thread to another.
 fn spawn(command: Command) -> io::Result<Child> {
     type Order = (Command, Sender<io::Result<Child>>);
-    static NURSERY: OnceLock<Sender<Order>> = OnceLock::new();
-    let nursery = NURSERY.get_or_init(|| {
+    static SPAWNER: OnceLock<Sender<Order>> = OnceLock::new();
+    let spawner = SPAWNER.get_or_init(|| {
         let (orders, taken) = channel::<Order>();
         std::thread::spawn(move || {
             for (mut command, answer) in taken {
@@ -131,10 +131,10 @@ fn spawn(command: Command) -> io::Result<Child> {
         });
         orders
     });
-    let (answer, born) = channel();
+    let (answer, spawned) = channel();
     let gone = || io::Error::other("the thread that starts emulators is gone");
-    nursery.send((command, answer)).map_err(|_| gone())?;
-    born.recv().map_err(|_| gone())?
+    spawner.send((command, answer)).map_err(|_| gone())?;
+    spawned.recv().map_err(|_| gone())?
 }
 
 /// Keeps the last lines of the emulator's stderr.

@@ -100,7 +100,7 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
         }
     }
 
-    /// Content as a perfect reader sees it.
+    /// Content as a perfect reader has it.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
@@ -150,7 +150,7 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
         }
     }
 
-    /// A bit of the byte at `place` forgets what it was.
+    /// A bit of the byte at `place` is lost.
     pub fn rot(&mut self, place: usize, bit: u8) {
         self.bytes[place] ^= 1 << bit;
     }

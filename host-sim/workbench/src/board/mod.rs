@@ -1,7 +1,7 @@
 //! Boards: whatever runs the firmware's session at the other end of a byte link.
 //!
 //! In this process ([`Native`]), in the emulator or on a serial port: a [`Transport`] carries the bytes, one [`Client`]
-//! speaks the protocol over any of them.
+//! is the protocol over any of them.
 
 mod child;
 mod client;
@@ -75,7 +75,7 @@ pub enum BoardError {
     /// No answer in time.
     #[error("board {0} does not answer")]
     Timeout(String),
-    /// The board speaks another version of the protocol.
+    /// The board has another version of the protocol.
     #[error("the board speaks protocol version {0}, this program version {PROTOCOL_VERSION}")]
     WrongProtocol(u8),
     /// The board drives another robot: the identity that it reports, and the robot wanted.

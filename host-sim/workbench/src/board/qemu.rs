@@ -24,7 +24,7 @@ const STORE_START: u32 = 0x080C_0000;
 /// Longest wait for the end of an emulator that has failed.
 const EXIT_WAIT: Duration = Duration::from_secs(2);
 /// Longest time in which a board may take no bytes.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+pub const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A board in the emulator. Going out of scope ends the emulator.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ pub struct Emulator {
     image: Image,
     frame_ports: Option<[OwnedFd; 2]>,
     /// Bytes received while waiting for the board, not yet read.
-    greeting: Vec<u8>,
+    first_bytes: Vec<u8>,
 }
 
 impl Emulator {
@@ -105,7 +105,7 @@ impl Emulator {
             from_board,
             image: options.image,
             frame_ports,
-            greeting: Vec::new(),
+            first_bytes: Vec::new(),
         };
         for end in std::iter::once(&emulator.to_board).chain(&emulator.from_board) {
             fcntl(end, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(link)?;
@@ -119,7 +119,7 @@ impl Emulator {
                 )))
             }
             count => {
-                emulator.greeting.extend_from_slice(&buffer[..count]);
+                emulator.first_bytes.extend_from_slice(&buffer[..count]);
                 Ok(emulator)
             }
         }
@@ -136,7 +136,7 @@ impl Emulator {
     }
 
     /// Hangs up and waits for the emulator to end by itself, as the bulk firmware does. True when it did so well.
-    pub fn hang_up(self, patience: Duration) -> io::Result<bool> {
+    pub fn hang_up(self, timeout: Duration) -> io::Result<bool> {
         let Self {
             mut process,
             to_board,
@@ -144,25 +144,25 @@ impl Emulator {
             ..
         } = self;
         drop((to_board, from_board));
-        let status = process.ended(patience)?;
+        let status = process.ended(timeout)?;
         Ok(status.is_some_and(|status| status.success()))
     }
 
     /// Where the board's bytes come from.
-    fn ear(&self) -> &OwnedFd {
+    fn receiving_end(&self) -> &OwnedFd {
         self.from_board.as_ref().unwrap_or(&self.to_board)
     }
 
-    /// Bytes, or the end of them, come within `patience`.
-    fn audible(&self, patience: Duration) -> io::Result<bool> {
-        ready(self.ear().as_fd(), PollFlags::POLLIN, patience)
+    /// Bytes, or the end of them, come within `timeout`.
+    fn readable(&self, timeout: Duration) -> io::Result<bool> {
+        ready(self.receiving_end().as_fd(), PollFlags::POLLIN, timeout)
     }
 
     /// Why the link is gone: nearly always because the emulator is.
     fn broken(&mut self, error: nix::Error) -> io::Error {
         match self.process.ended(EXIT_WAIT) {
             Ok(Some(status)) => {
-                let last = self.process.last_words();
+                let last = self.process.last_message();
                 let last = last.unwrap_or_else(|| "without a message".into());
                 io::Error::other(format!("the emulator died: {status}; {last}"))
             }
@@ -176,15 +176,15 @@ impl Transport for Emulator {
         format!("qemu ({})", self.image.name())
     }
 
-    /// Errors: an emulator that died; a board that takes nothing for [`PATIENCE`].
+    /// Errors: an emulator that died; a board that takes nothing for [`TIMEOUT`].
     fn send(&mut self, mut bytes: &[u8]) -> io::Result<()> {
         while !bytes.is_empty() {
             match nix::unistd::write(&self.to_board, bytes) {
                 Ok(sent) => bytes = &bytes[sent..],
                 Err(nix::Error::EINTR) => {}
                 Err(nix::Error::EAGAIN) => {
-                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, PATIENCE)? {
-                        let waited_s = PATIENCE.as_secs_f64();
+                    if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, TIMEOUT)? {
+                        let waited_s = TIMEOUT.as_secs_f64();
                         let problem =
                             format!("the emulated board took no bytes for {waited_s:.1} s");
                         return Err(io::Error::other(problem));
@@ -197,17 +197,17 @@ impl Transport for Emulator {
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        if !self.greeting.is_empty() {
-            let count = buffer.len().min(self.greeting.len());
-            buffer[..count].copy_from_slice(&self.greeting[..count]);
-            self.greeting.drain(..count);
+        if !self.first_bytes.is_empty() {
+            let count = buffer.len().min(self.first_bytes.len());
+            buffer[..count].copy_from_slice(&self.first_bytes[..count]);
+            self.first_bytes.drain(..count);
             return Ok(count);
         }
         loop {
-            if !self.audible(timeout)? {
+            if !self.readable(timeout)? {
                 return Ok(0);
             }
-            match nix::unistd::read(self.ear(), buffer) {
+            match nix::unistd::read(self.receiving_end(), buffer) {
                 Ok(0) => return Err(self.broken(nix::Error::EPIPE)),
                 Ok(count) => return Ok(count),
                 Err(nix::Error::EINTR | nix::Error::EAGAIN) => {}
@@ -222,9 +222,9 @@ fn link(error: nix::Error) -> io::Error {
     io::Error::other(format!("link to the emulator: {error}"))
 }
 
-/// Waits until `end` can be read or written. False after `patience`.
-fn ready(end: BorrowedFd<'_>, what: PollFlags, patience: Duration) -> io::Result<bool> {
-    let deadline = Instant::now() + patience;
+/// Waits until `end` can be read or written. False after `timeout`.
+fn ready(end: BorrowedFd<'_>, what: PollFlags, timeout: Duration) -> io::Result<bool> {
+    let deadline = Instant::now() + timeout;
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
         // Rounded up, or the last millisecond would be spent spinning.
@@ -311,8 +311,8 @@ impl Image {
 
     /// Place where the build leaves the ELF: `target/thumbv7em-none-eabihf/firmware/` under the workspace root.
     pub fn default_elf(self) -> PathBuf {
-        let elves = builds().join("thumbv7em-none-eabihf/firmware");
-        elves.join(self.name())
+        let elf_dir = builds().join("thumbv7em-none-eabihf/firmware");
+        elf_dir.join(self.name())
     }
 
     /// The ELF for the arm called `arm`: that of `cargo xtask arm` where there is one, else [`Self::default_elf`].

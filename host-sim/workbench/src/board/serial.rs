@@ -8,7 +8,7 @@ use std::time::Duration;
 /// Bit rate of the link, as the firmware sets it.
 pub use foretorque_f405::chip::LINK_BAUD as BAUD;
 /// How long a port may take no bytes.
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The link to a board on a serial port: 8 data bits, no parity, one stop bit, no flow control.
 pub struct Serial {
@@ -21,7 +21,7 @@ impl Serial {
     ///
     /// Errors: a port that is missing, in use, or may not be opened.
     pub fn open(path: &str, baud: u32) -> io::Result<Self> {
-        let opened = serialport::new(path, baud).timeout(PATIENCE).open();
+        let opened = serialport::new(path, baud).timeout(TIMEOUT).open();
         let port = opened.map_err(|error| refusal(path, &error))?;
         // What a predecessor left unread is none of ours; a port that cannot discard it fails at the first read.
         let _ = port.clear(serialport::ClearBuffer::Input);
@@ -42,8 +42,8 @@ impl Transport for Serial {
     }
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        if self.port.timeout() != PATIENCE {
-            self.port.set_timeout(PATIENCE)?;
+        if self.port.timeout() != TIMEOUT {
+            self.port.set_timeout(TIMEOUT)?;
         }
         self.port.write_all(bytes)
     }

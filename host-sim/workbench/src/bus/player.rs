@@ -13,7 +13,7 @@ use foretorque_link::session::{LearnerMailbox, NoClock};
 use std::time::Duration;
 
 /// Longest time for drives to answer at the start, s.
-const GREETING_S: f64 = 0.5;
+const LISTENING_S: f64 = 0.5;
 /// Longest time for drives to switch on, s.
 const ARMING_S: f64 = 1.0;
 /// Fastest joint of the approach, rad/s.
@@ -121,7 +121,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
     pub fn arm(&mut self) -> Result<JointVector<N>, BusError> {
         let outcome = self.switch_on();
         if outcome.is_err() {
-            // What stopped the arming is told, not what hinders its end.
+            // The error is the one that stopped the arming, not one that hinders its end.
             let _ = self.park();
         }
         outcome
@@ -129,9 +129,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
 
     fn switch_on(&mut self) -> Result<JointVector<N>, BusError> {
         let ticks = |time_s: f64| (time_s / self.period_s()) as usize + 1;
-        let (greeting, arming) = (ticks(GREETING_S), ticks(ARMING_S));
+        let (listening, arming) = (ticks(LISTENING_S), ticks(ARMING_S));
         let mut refusal = None;
-        for _ in 0..greeting {
+        for _ in 0..listening {
             self.rest_tick()?;
             match self.controller.arm() {
                 Ok(()) => {

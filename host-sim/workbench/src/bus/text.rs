@@ -14,7 +14,7 @@ use std::io::{self, Read, Write};
 use std::time::Duration;
 
 /// Longest time for which a port may take no bytes.
-const PATIENCE: Duration = Duration::from_millis(100);
+const TIMEOUT: Duration = Duration::from_millis(100);
 /// Longest line of a frame.
 const LINE_BYTES: usize = 256;
 
@@ -174,7 +174,7 @@ impl TextLine {
     /// Errors: the port's; bit rates that the adapter cannot be given.
     pub(super) fn open(path: &str, form: TextForm, rates: &BitRates) -> io::Result<Self> {
         let opening = form.opening(rates)?;
-        let opened = serialport::new(path, 921_600).timeout(PATIENCE).open();
+        let opened = serialport::new(path, 921_600).timeout(TIMEOUT).open();
         let mut port = opened.map_err(|error| io::Error::other(error.to_string()))?;
         port.write_all(opening.as_bytes())?;
         Ok(Self {

@@ -258,7 +258,7 @@ impl Objective {
     }
 }
 
-/// Pairs that the quasi-Newton method remembers.
+/// Pairs that the quasi-Newton method keeps.
 const MEMORY: usize = 20;
 
 /// The best point seen in at most `iterations` from `variables` on.

@@ -290,7 +290,7 @@ fn unit(k: usize) -> Matrix4<f64> {
 /// The link with its second moments of mass raised to a least share of their sum.
 fn inside(link: &Link) -> Link {
     let sum = link.second_moments().trace().max(LEAST * LEAST);
-    link.thickened(|_| THINNEST * sum)
+    link.with_least_moments(|_| THINNEST * sum)
 }
 
 /// The robot with links, rotors and friction from `z`; friction without a column is zero.

@@ -270,13 +270,13 @@ fn gather(
 }
 
 /// Share of the RMS torque that every error has added, so that none is decided by noise or by rounding.
-const INDIFFERENT: f64 = 0.03;
+const LEAST_SHARE: f64 = 0.03;
 
 /// Geometric mean over the joints of one error over another; `size` is the RMS torque.
 fn over(own: &[Option<f64>], other: &[Option<f64>], size: &[Option<f64>]) -> f64 {
     let joints = own.iter().zip(other).zip(size);
     let ratios = joints.filter_map(|((own, other), size)| {
-        let least = INDIFFERENT * size.filter(|size| *size > 0.0)?;
+        let least = LEAST_SHARE * size.filter(|size| *size > 0.0)?;
         Some((*own)?.hypot(least) / (*other)?.hypot(least))
     });
     let logs: Vec<f64> = ratios.filter(|ratio| *ratio > 0.0).map(f64::ln).collect();

@@ -29,7 +29,7 @@ pub enum Descent {
 
 impl Descent {
     /// Epochs over which a loss that has hardly fallen ends the training.
-    fn patience(self) -> usize {
+    fn epochs_without_gain(self) -> usize {
         match self {
             Self::Plain => 500,
             Self::Accelerated => 50,
@@ -56,7 +56,7 @@ impl PhysicalConfig {
         Self {
             seed,
             starts: 3,
-            max_epochs: 40 * descent.patience(),
+            max_epochs: 40 * descent.epochs_without_gain(),
             descent,
         }
     }
@@ -182,7 +182,7 @@ impl LinearLayer {
                 watch(epoch, now);
             }
             let past = epoch
-                .checked_sub(config.descent.patience())
+                .checked_sub(config.descent.epochs_without_gain())
                 .map(|past| losses[past]);
             if past.is_some_and(|past| past - now <= SETTLED * past) {
                 break;

@@ -179,7 +179,7 @@ fn arming_that_fails_switches_every_drive_off_again() {
 }
 
 /// Watches every torque that reaches a drive.
-struct Witness {
+struct Observed {
     /// Torques that the loop has released, newest last.
     released: Vec<Joints<6>>,
     /// Steps of the torque in the frames, N·m.
@@ -187,7 +187,7 @@ struct Witness {
     wrong: Vec<String>,
 }
 
-impl Witness {
+impl Observed {
     /// Every torque in force is one that was released for that joint within the watchdog's time, or zero.
     fn watch(&mut self, player: &Player, tick: &BusTick<6>) {
         let t_s = player.network.t_s();
@@ -212,7 +212,7 @@ impl Witness {
 fn campaign(
     fault: Option<(LineFault, f64)>,
     right: &[Joints<6>],
-) -> (Result<(), String>, Witness, Player) {
+) -> (Result<(), String>, Observed, Player) {
     const AT_S: f64 = 1.0;
     let (profile, path) = (profile(500.0), path(10.0));
     let mut player = player(&profile, &path, true);
@@ -223,7 +223,7 @@ fn campaign(
     }
     let joints = player.controller.config().joints;
     let steps = joints.map(|joint| f64::from(joint.drive.torque_resolution()));
-    let mut witness = Witness {
+    let mut observed = Observed {
         released: vec![player.network.feed_forward()],
         step: Joints::from(steps),
         wrong: Vec::new(),
@@ -233,8 +233,8 @@ fn campaign(
         let t_s = f64::from(tick) * 2e-3;
         let motion = motion_f32(&path.at(t_s + profile.lead_s()));
         let result = player.tick(Some(&motion)).expect("the bus is there");
-        witness.watch(&player, &result);
-        let mut wrong = |what| witness.wrong.push(format!("{t_s:.3} s: {what}"));
+        observed.watch(&player, &result);
+        let mut wrong = |what| observed.wrong.push(format!("{t_s:.3} s: {what}"));
         if result.status.state == SafetyState::Armed {
             let torque: Joints<6> = result.torque.total.cast();
             let right = right.get(tick as usize);
@@ -250,11 +250,11 @@ fn campaign(
         }
         let acting = player.network.feed_forward();
         let over = ended_s.is_some_and(|ended_s| t_s > ended_s + 0.08);
-        if over && acting.amax() > witness.step.amax() {
+        if over && acting.amax() > observed.step.amax() {
             wrong(format!("{acting} after the end"));
         }
     }
-    (end, witness, player)
+    (end, observed, player)
 }
 
 /// Fault of a joint or of its bus.
@@ -308,8 +308,8 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
         for bus in 0..2 {
             let joint = joint + 3 * bus;
             let fault = fault(joint, bus);
-            let (end, witness, player) = campaign(Some((fault, for_s)), right);
-            let wrong = witness.wrong;
+            let (end, observed, player) = campaign(Some((fault, for_s)), right);
+            let wrong = observed.wrong;
             let count = wrong.len();
             let first = wrong.first();
             assert!(

@@ -341,7 +341,7 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
     }
 }
 
-/// Talks to one moteus by its own client, through the board.
+/// Drives one moteus by its own client, through the board.
 const MOTEUS_CLIENT: &str = include_str!("moteus_client.py");
 
 #[test]

@@ -28,7 +28,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Duration;
 
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// The longest command of a host is shorter than a sample.
 const SAMPLE_BYTES: usize = 70;
 
@@ -82,7 +82,7 @@ fn connected<B: FrameBoard + 'static>(
     before: impl FnMut(&mut B) -> bool + 'static,
 ) -> Client<JOINTS> {
     let mut client = trial::connected(Ticked { board, before });
-    client.set_timeout(PATIENCE);
+    client.set_timeout(TIMEOUT);
     client
 }
 
@@ -210,7 +210,7 @@ impl Emulated {
         let ports = board.take_frame_ports().expect("it has a wiring");
         let ports = ports.map(|end| {
             let stream = UnixStream::from(end);
-            stream.set_read_timeout(Some(PATIENCE)).expect("it can");
+            stream.set_read_timeout(Some(TIMEOUT)).expect("it can");
             TextEnd {
                 stream,
                 bytes: Vec::new(),
@@ -275,14 +275,19 @@ fn wiring(profile: &Profile, role: Role) -> Wiring<JOINTS> {
 }
 
 /// Result of a ride: torques as the board replied, frames it sent, tracking error over the last 6 s.
-struct Ride {
+struct BusRun {
     torques: Vec<JointVector<JOINTS>>,
     sent: Ported,
     rms_mrad: f64,
 }
 
 /// Arms a master, and has it follow a seeded path while it learns.
-fn ride(board: impl FrameBoard + 'static, rate_hz: f64, duration_s: f64, forward: bool) -> Ride {
+fn bus_run(
+    board: impl FrameBoard + 'static,
+    rate_hz: f64,
+    duration_s: f64,
+    forward: bool,
+) -> BusRun {
     const JUDGED_S: f64 = 6.0;
     let profile = profile(rate_hz);
     let path = path(40.0);
@@ -348,7 +353,7 @@ fn ride(board: impl FrameBoard + 'static, rate_hz: f64, duration_s: f64, forward
         }
     }
     let sent = sent.borrow().clone();
-    Ride {
+    BusRun {
         torques,
         sent,
         rms_mrad: (squares / f64::from(counted as u32)).sqrt() * 1e3,
@@ -359,8 +364,8 @@ fn ride(board: impl FrameBoard + 'static, rate_hz: f64, duration_s: f64, forward
 fn six_drives_follow_a_board_three_times_better_with_its_torque() {
     for rate_hz in [500.0, 1000.0] {
         let wiring = wiring(&profile(rate_hz), Role::Master);
-        let alone = ride(Twin::new(&wiring), rate_hz, 36.0, false).rms_mrad;
-        let with = ride(Twin::new(&wiring), rate_hz, 36.0, true).rms_mrad;
+        let alone = bus_run(Twin::new(&wiring), rate_hz, 36.0, false).rms_mrad;
+        let with = bus_run(Twin::new(&wiring), rate_hz, 36.0, true).rms_mrad;
         println!(
             "{rate_hz} Hz: {alone:.3} mrad alone, {with:.3} mrad with, ratio {:.2}",
             alone / with
@@ -377,8 +382,8 @@ fn the_emulated_master_sends_the_bits_of_its_twin() {
     // Of both rates, the one that leaves a tick less time.
     let rate_hz = 1000.0;
     let wiring = wiring(&profile(rate_hz), Role::Master);
-    let expected = ride(Twin::new(&wiring), rate_hz, 0.4, true);
-    let seen = ride(Emulated::start("master", Some(&wiring)), rate_hz, 0.4, true);
+    let expected = bus_run(Twin::new(&wiring), rate_hz, 0.4, true);
+    let seen = bus_run(Emulated::start("master", Some(&wiring)), rate_hz, 0.4, true);
     assert!(seen.torques == expected.torques, "torques");
     // Each port keeps its order; between two ports of the emulator there is none.
     let by_port = |mut sent: Ported| {

@@ -223,7 +223,7 @@ impl Idle {
             if ordered && (fed || !housekeeping.erases()) {
                 ordered = false;
                 let outcome = if housekeeping.erases() {
-                    self.watchdog.patient(|| housekeeping.execute())
+                    self.watchdog.with_longest_time(|| housekeeping.execute())
                 } else {
                     housekeeping.execute()
                 };

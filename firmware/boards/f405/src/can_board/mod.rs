@@ -233,7 +233,7 @@ fn wiring() -> Option<Wiring<JOINTS>> {
         static _wiring: [u8; BYTES];
     }
     // SAFETY: the address is in the flash, aligned for bytes, and never changes while the firmware runs. Volatile, because
-    // the compiler knows nothing of what is there.
+    // the compiler has no part in what is there.
     Wiring::decode(&unsafe { (&raw const _wiring).read_volatile() })
 }
 

@@ -35,7 +35,7 @@ fn curve(prior: Set, drive: Drive, seconds: u32) -> Vec<f64> {
         let sample = plant.sample(tick);
         let before = *board.feedforward.state();
         let torque = board.tick(&sample);
-        // Without any friction in the description the bound on learnt change may bite before the first commit.
+        // Without any friction in the description the bound on learnt change may act before the first commit.
         let bounded = torque.flags.contains(Flags::LEARNED_CLIPPED);
         let described = prior.friction != [FrictionParameters::NONE; N];
         assert!(!bounded || !described && tick < 9000, "tick {tick}");
@@ -87,7 +87,7 @@ fn the_error_on_an_unseen_path_falls_below_two_and_one_percent() {
 #[test]
 fn friction_that_grows_with_the_load_is_learnt() {
     let curve = curve(wrong_prior(1), UNDER_LOAD, 30);
-    // Not less: the gears also feel what the motion adds to gravity, and that has no column.
+    // Not less: the gears also carry what the motion adds to gravity, and that has no column.
     assert!(curve[30] < 0.015, "{}", curve[30]);
 }
 

@@ -226,8 +226,8 @@ impl Board {
         self.queue
             .push_back(self.feedforward.learning_sample(sample.measured));
         while self.queue.len() > self.delay {
-            let lesson = self.queue.pop_front().unwrap();
-            self.learner.learn(&lesson, &mut self.exchange);
+            let learning_sample = self.queue.pop_front().unwrap();
+            self.learner.learn(&learning_sample, &mut self.exchange);
         }
         torque
     }

@@ -247,11 +247,11 @@ impl Bench {
 
     /// Ticks whose learning samples wait for the learner.
     fn run_ahead(&mut self, ticks: u32) -> Vec<LearningSample<N>> {
-        let lessons = (0..ticks).map(|_| {
+        let learning_samples = (0..ticks).map(|_| {
             self.step();
             self.tick.learning_sample(None)
         });
-        lessons.collect()
+        learning_samples.collect()
     }
 
     /// A run from the tick `at` on; whether it adopts its rounds, and none of them late.
@@ -260,8 +260,8 @@ impl Bench {
         let (mut adopted, mut late) = (0, 0);
         for count in 0..TICKS {
             let flags = self.step();
-            let lesson = self.tick.learning_sample(None);
-            self.learner.learn(&lesson, &mut self.exchange);
+            let learning_sample = self.tick.learning_sample(None);
+            self.learner.learn(&learning_sample, &mut self.exchange);
             if count >= SETTLING {
                 adopted += u32::from(flags.contains(Flags::SET_ADOPTED));
                 late += u32::from(flags.contains(Flags::SET_LATE));
@@ -295,8 +295,8 @@ fn broken(first: u32, then: u32) -> Vec<&'static str> {
     bench.tick.state.tick = first.wrapping_sub(3);
     let before = bench.run_ahead(3);
     bench.tick.load(moved(1.0), &mut bench.exchange);
-    for lesson in before {
-        bench.learner.learn(&lesson, &mut bench.exchange);
+    for learning_sample in before {
+        bench.learner.learn(&learning_sample, &mut bench.exchange);
     }
     let reload_waits = bench.exchange.reload.is_some();
     // The learner has no payload.
@@ -313,7 +313,10 @@ fn broken(first: u32, then: u32) -> Vec<&'static str> {
     let committed = *bench.tick.state().committed();
     let rolls_back = bench.carries_out(Request::Rollback, Reason::RolledBack, first, then);
     let promises = [
-        (reload_waits, "a lesson from before the load takes the set"),
+        (
+            reload_waits,
+            "a learning sample from before the load takes the set",
+        ),
         (taken, "the learner does not take the set"),
         (
             adopts && active == moved(1.0),

@@ -178,15 +178,15 @@ fn the_share_of_cogging_is_that_of_the_desired_place() {
 fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
     let motion = motion(1.1);
     let whole = evaluate::<Ur5, N, P>(&set(), &motion).shares;
-    let spoil: [fn(&mut Set); 3] = [
+    let corrupt: [fn(&mut Set); 3] = [
         |s| s.rigid.fill(f32::NAN),
         |s| s.friction[2][FrictionColumn::Viscous] = f32::INFINITY,
         |s| s.network[4].output_bias[0] = f32::NAN,
     ];
-    for spoil in spoil {
+    for corrupt in corrupt {
         let mut tick = tick(set());
         let mut broken = set();
-        spoil(&mut broken);
+        corrupt(&mut broken);
         tick.state.set_active(&broken, &LearntShare::FULL);
         let torque = settled(&mut tick, &motion);
         assert_eq!(torque.shares, whole);

@@ -406,15 +406,15 @@ fn a_pending_commit_ends_with_a_new_load() {
     assert_eq!((published.generation, published.commit), (1, false));
 }
 
-/// Time until a body of 1 kg in the torque is released, ticks, where the arm is the nominal one plus `felt` bodies and the
+/// Time until a body of 1 kg in the torque is released, ticks, where the arm is the nominal one plus `actual` bodies and the
 /// estimate plus `estimated`; `None` after 4 s.
-fn released(felt: f32, estimated: f32) -> Option<u32> {
+fn released(actual: f32, estimated: f32) -> Option<u32> {
     let mut body = NO_PAYLOAD;
     (body[0], body[3]) = (1.0, 0.05);
     let base = payload_base::<Ur5, N, P>(&body);
     let mut learner = learner();
     let nominal = prior().rigid;
-    let truth = nominal + base * felt;
+    let truth = nominal + base * actual;
     let mut estimate = *learner.state.estimate.parameters();
     estimate.rigid = (nominal + base * estimated).into();
     learner.state.estimate.move_to(&estimate);
@@ -471,10 +471,10 @@ fn released_at_rest(friction: f32, put_down: bool) -> Option<u32> {
     supervisor.blocks_carried = learner.config.supervisor.payload_update_blocks;
     let nominal = prior().rigid;
     (0..4000).find(|&tick| {
-        let felt = if put_down && tick >= 1000 { 0.0 } else { 1.0 };
+        let actual = if put_down && tick >= 1000 { 0.0 } else { 1.0 };
         let mut motion = JointMotion::zero();
         motion.q = JointVector::from_fn(|j, _| 0.3 - 0.2 * j as f32);
-        let mut tau = rnea::<Ur5, N, P>(&(nominal + base * felt), &motion);
+        let mut tau = rnea::<Ur5, N, P>(&(nominal + base * actual), &motion);
         // No sample is a copy of the one before.
         tau[0] += 1e-3 * (tick % 7) as f32;
         let measured = JointMeasurement { q: motion.q, tau };

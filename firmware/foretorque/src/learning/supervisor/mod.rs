@@ -192,17 +192,17 @@ mod tests {
         LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
     }
 
-    /// Two rows of every payload parameter on two joints in turn, with `carried` in the torque where the arm feels `felt`;
+    /// Two rows of every payload parameter on two joints in turn, with `carried` in the torque where the arm has `actual`;
     /// standard deviations of a measurement and of a block, N·m.
     fn add_rows(
         supervisor: &mut Tested,
-        [carried, felt]: [&Payload; 2],
+        [carried, actual]: [&Payload; 2],
         (sigma, inflated): (f32, f32),
     ) {
         for k in 0..2 * NO_PAYLOAD.len() {
             let mut row = NO_PAYLOAD;
             row[k % NO_PAYLOAD.len()] = 10.0;
-            let tau = payload_torque(felt, &row);
+            let tau = payload_torque(actual, &row);
             let test = &mut supervisor.payload_test;
             test.add_row(k % 2, carried, &row, tau, sigma, inflated);
         }
@@ -256,10 +256,10 @@ mod tests {
         let mut body = NO_PAYLOAD;
         body[0] = 2.0;
         supervisor.carries_payload = true;
-        for (felt, updates) in [(body, true), (NO_PAYLOAD, false)] {
-            add_rows(&mut supervisor, [&body, &felt], (1.0, 1.0));
+        for (actual, updates) in [(body, true), (NO_PAYLOAD, false)] {
+            add_rows(&mut supervisor, [&body, &actual], (1.0, 1.0));
             supervisor.payload_test.decide(&config, true, false, 0.0);
-            assert_eq!(supervisor.updates_payload(&config), updates, "{felt:?}");
+            assert_eq!(supervisor.updates_payload(&config), updates, "{actual:?}");
         }
         supervisor.carries_payload = false;
         assert!(!supervisor.updates_payload(&config));

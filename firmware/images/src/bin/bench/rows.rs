@@ -50,7 +50,7 @@ rows! {
     bp_18_32_6_update(s) s.output = black_box(&mut s.paper).update(&s.input, &s.target, &s.step);
     block_network(s) s.block_network();
     feedforward_step(s) { black_box(&s.feedforward.step(&s.sample)); };
-    learning_step(s) s.learner.learn(&s.lesson, &mut s.exchange);
+    learning_step(s) s.learner.learn(&s.learning_sample, &mut s.exchange);
 }
 
 rows! {

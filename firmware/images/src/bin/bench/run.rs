@@ -100,8 +100,8 @@ fn count_long_run(ticks: u32, parts: Parts) -> Option<()> {
         least = least.min(counted);
         sum += u64::from(counted);
         most = most.max(counted);
-        let lesson = stage.feedforward.learning_sample(stage.sample.measured);
-        stage.learner.learn(&lesson, &mut stage.exchange);
+        let learning_sample = stage.feedforward.learning_sample(stage.sample.measured);
+        stage.learner.learn(&learning_sample, &mut stage.exchange);
     }
     hprintln!("feedforward_step {} {} {}", least, sum, most);
     Some(())

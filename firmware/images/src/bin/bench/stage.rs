@@ -62,7 +62,7 @@ pub(crate) struct Stage {
     pub(crate) panda_tau: JointVector<{ panda::JOINTS }>,
     pub(crate) sample: JointSample<JOINTS>,
     pub(crate) feedforward: FeedForward<Arm, JOINTS, PARAMETERS>,
-    pub(crate) lesson: LearningSample<JOINTS>,
+    pub(crate) learning_sample: LearningSample<JOINTS>,
     pub(crate) exchange: Exchange<JOINTS, PARAMETERS>,
     /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
     pub(crate) learner: &'static mut Learner,
@@ -133,7 +133,7 @@ impl Stage {
             link,
             bus,
             paper,
-            lesson: LearningSample {
+            learning_sample: LearningSample {
                 tick: 0,
                 generation: 0,
                 requests: 0,
@@ -151,8 +151,9 @@ impl Stage {
         for _ in 0..WARM_UP {
             self.vary();
             // With learning off a learning step only fills the window of measurements.
-            self.lesson.enabled = false;
-            self.learner.learn(&self.lesson, &mut self.exchange);
+            self.learning_sample.enabled = false;
+            self.learner
+                .learn(&self.learning_sample, &mut self.exchange);
         }
     }
 
@@ -181,7 +182,7 @@ impl Stage {
         self.input.apply(|x| *x = random.within(1.0));
         self.target.apply(|x| *x = random.within(1.0));
 
-        let tick = self.lesson.tick.wrapping_add(1);
+        let tick = self.learning_sample.tick.wrapping_add(1);
         let wave = wave(tick);
         let mut tau = wave.q;
         for (tau, limits) in tau.iter_mut().zip(&Arm::LIMITS) {
@@ -192,7 +193,7 @@ impl Stage {
             desired: wave,
             measured,
         };
-        self.lesson = LearningSample {
+        self.learning_sample = LearningSample {
             tick,
             generation: 0,
             requests: 0,

@@ -174,7 +174,7 @@ impl<const N: usize> Client<N> {
     /// [`sample`](Self::sample) for a frame made elsewhere: with currents, or temperatures. Its period is numbered here.
     pub fn sample_frame(&mut self, frame: &SampleFrame<N>) -> Result<TickReply<N>, BoardError> {
         let mut frame = frame.in_period(self.period);
-        if self.patient {
+        if self.waits_for_learning {
             frame = frame.answered_after_learning();
         }
         self.skip_period();

@@ -41,7 +41,7 @@ pub struct TickReply<const N: usize> {
     pub excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
-/// Speaks the protocol with a board of `N` joints over any [`Transport`].
+/// Client of the protocol, for a board of `N` joints over any [`Transport`].
 pub struct Client<const N: usize> {
     transport: Box<dyn Transport>,
     decoder: Decoder,
@@ -54,7 +54,7 @@ pub struct Client<const N: usize> {
     /// Number of the period of the next sample.
     period: u8,
     /// Answers come after the learning step.
-    patient: bool,
+    waits_for_learning: bool,
     hello: BoardHello,
     /// Safety state of the last reply.
     safety: SafetyStatus,
@@ -68,7 +68,7 @@ pub struct Client<const N: usize> {
 }
 
 impl<const N: usize> Client<N> {
-    /// Greets the board and makes sure that it drives arm `A` and speaks this protocol.
+    /// Connects to the board and makes sure that it drives arm `A` and has this version of the protocol.
     ///
     /// * `boot` how long the board may take to answer its first hello
     ///
@@ -80,7 +80,7 @@ impl<const N: usize> Client<N> {
     ) -> Result<Self, BoardError> {
         let mut client = Self {
             period: 0,
-            patient: !transport.keeps_time(),
+            waits_for_learning: !transport.keeps_time(),
             transport,
             decoder: Decoder::new(),
             request: FrameBuffer::new(),
@@ -88,14 +88,14 @@ impl<const N: usize> Client<N> {
             bytes: Vec::new(),
             next: 0,
             timeout: Duration::from_secs(2),
-            hello: nobody(),
+            hello: no_hello(),
             safety: SafetyStatus::default(),
             presented: None,
             telemetry: Vec::new(),
             key: None,
             gains: None,
         };
-        client.hello = client.greet(boot)?;
+        client.hello = client.await_hello(boot)?;
         client.safety = client.hello.safety;
         let found = &client.hello;
         if found.arm_hash != A::hash() || usize::from(found.joints) != N {
@@ -113,7 +113,7 @@ impl<const N: usize> Client<N> {
         self.key = Some(key);
     }
 
-    /// Sends measured torques as motor currents from now on. The board knows the `gains`, N × N·m/A, from its bank.
+    /// Sends measured torques as motor currents from now on. The `gains`, N × N·m/A, are in the board's bank.
     pub fn send_currents(&mut self, gains: JointVector<N>) {
         self.gains = Some(gains);
     }
@@ -125,8 +125,8 @@ impl<const N: usize> Client<N> {
 
     /// Whether the torque of a sample is answered only when its learning step is done, so that what the board learns does not depend
     /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
-    pub fn wait_for_learning(&mut self, patient: bool) {
-        self.patient = patient;
+    pub fn wait_for_learning(&mut self, waits_for_learning: bool) {
+        self.waits_for_learning = waits_for_learning;
     }
 
     /// Lets a period go by without a sample: the number of the next one shows it.
@@ -209,7 +209,7 @@ fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
 }
 
 /// Stands where the board's hello will stand.
-fn nobody() -> BoardHello {
+fn no_hello() -> BoardHello {
     use foretorque_link::wire::{Capabilities, ChipStatus, CounterKind, Name, ResetReason};
     BoardHello {
         arm_hash: 0,
@@ -234,7 +234,7 @@ const ATTEMPTS: usize = 3;
 const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
 
 impl<const N: usize> Client<N> {
-    fn greet(&mut self, boot: Duration) -> Result<BoardHello, BoardError> {
+    fn await_hello(&mut self, boot: Duration) -> Result<BoardHello, BoardError> {
         let deadline = Instant::now() + boot;
         // An unfinished frame of a predecessor ends here.
         self.transmit(&[0])?;
@@ -316,7 +316,7 @@ impl<const N: usize> Client<N> {
                 }
             }
             let left = deadline.saturating_duration_since(Instant::now());
-            // A board that talks without pause must not keep the question open for ever.
+            // A board that sends without pause must not keep the question open for ever.
             if left.is_zero() || !self.fill(left)? {
                 return Err(BoardError::Timeout(self.transport.name()));
             }

@@ -27,7 +27,7 @@ const AROUND: usize = 4;
 /// Largest relative standard deviation of a ratio by which a drive is judged.
 const DEVIATION: f64 = 0.05;
 /// Largest relative standard deviation of a ratio that may end the rise of the torque.
-const ROUGH: f64 = 0.2;
+const MOST_DEVIATION: f64 = 0.2;
 /// Half the largest relative difference between the ratios of both ways.
 const SPREAD: f64 = 0.15;
 /// Ratios of the torque that arrives to the commanded one that pass: a scale wrong by 2 does not, even where the described
@@ -64,7 +64,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 };
                 self.found[joint].breakaway_nm.get_or_insert(push_nm);
                 let relative = deviation / ratio.abs().max(1.0);
-                if relative <= ROUGH {
+                if relative <= MOST_DEVIATION {
                     ratios.push(ratio);
                     worst = worst.max(relative);
                 }
@@ -210,7 +210,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         Ok(())
     }
 
-    /// Weighs a known body with each joint, in the pose near rest where the joint feels it most.
+    /// Weighs a known body with each joint, in the pose near rest where its torque is largest.
     pub(super) fn weigh(&mut self, body: &Link) -> Result<(), BusError> {
         let loaded = self.model.with_payload(body);
         let lever = |q: &Joints<N>, joint: usize| {
@@ -225,8 +225,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 pose
             });
             let admissible = tilted.into_iter().filter(|q| inside.contains(&q[joint]));
-            let felt = |q: &Joints<N>| lever(q, joint).abs();
-            let best = admissible.max_by(|a, b| felt(a).total_cmp(&felt(b)));
+            let lever_length = |q: &Joints<N>| lever(q, joint).abs();
+            let best = admissible.max_by(|a, b| lever_length(a).total_cmp(&lever_length(b)));
             best.unwrap_or(self.rest)
         });
         let expected: [f64; N] = std::array::from_fn(|joint| lever(&poses[joint], joint));
@@ -246,7 +246,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             let mean = shares.iter().sum::<f64>() / count;
             let squares: f64 = shares.iter().map(|share| (share - mean).powi(2)).sum();
             let deviation = (squares / (count * (count - 1.0))).sqrt();
-            // A lever that noise drowns says nothing.
+            // A lever below the noise is no evidence.
             if deviation.is_nan() || 3.0 * deviation > GAIN_ERROR {
                 self.found[joint].gain = None;
                 continue;

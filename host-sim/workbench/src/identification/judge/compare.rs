@@ -112,14 +112,14 @@ impl<'a> Comparison<'a> {
 
     fn check(&self, joint: usize, gain: f64) -> JointCheck {
         let (seen, own) = (&self.extremes[joint], &self.own[joint]);
-        let told = own.deviation < 0.3;
+        let is_known = own.deviation < 0.3;
         JointCheck {
             position_rad: seen.position,
             speed_rad_s: seen.speed,
             torque_rms_nm: seen.rms(),
             noise_floor_nm: seen.noise() * gain,
             unexplained_ratio: own.rest,
-            scale_ratio: (told && own.heavy).then_some(own.scale),
+            scale_ratio: (is_known && own.heavy).then_some(own.scale),
         }
     }
 

@@ -13,7 +13,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 const READING_EVIDENCE: f64 = 2.0;
 /// Most rows on which other readings are tried.
 const READING_ROWS: usize = 300;
-/// [`weight`] from which gravity tells the zero of a joint.
+/// [`weight`] from which gravity gives the zero of a joint.
 const CERTAIN: f64 = 2.0;
 /// Part of gravity below which torques are without it.
 const WEIGHTLESS: f64 = 0.3;

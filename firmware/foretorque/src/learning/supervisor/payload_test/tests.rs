@@ -14,17 +14,17 @@ fn of_mass(mass: f32) -> Payload {
     [mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 }
 
-/// Decision after blocks of a payload `carried`, N·m a unit, under which the arm feels `felt`; one row of every
+/// Decision after blocks of a payload `carried`, N·m a unit, where the arm carries `actual`; one row of every
 /// parameter a block, and two in the directions of the mass, on two joints in turn.
-fn decided(carried: &Payload, felt: &Payload, noise: f32) -> (u32, PayloadDecision) {
-    let (block, decision, _) = decided_at::<2>(carried, felt, (noise, 0.1));
+fn decided(carried: &Payload, actual: &Payload, noise: f32) -> (u32, PayloadDecision) {
+    let (block, decision, _) = decided_at::<2>(carried, actual, (noise, 0.1));
     (block, decision)
 }
 
 /// Likewise on `JOINTS` joints, for rows of the deviation `inflated`, N·m; with the standard deviation of the mass then, kg.
 fn decided_at<const JOINTS: usize>(
     carried: &Payload,
-    felt: &Payload,
+    actual: &Payload,
     (noise, inflated): (f32, f32),
 ) -> (u32, PayloadDecision, f32) {
     let config = config();
@@ -34,7 +34,7 @@ fn decided_at<const JOINTS: usize>(
             let mut row = NO_PAYLOAD;
             row[k % PAYLOAD_PARAMETERS] = 10.0;
             let sign = [1.0, -1.0][(block as usize + k) % 2];
-            let tau = payload_torque(felt, &row) + sign * noise;
+            let tau = payload_torque(actual, &row) + sign * noise;
             test.add_row(k % JOINTS, carried, &row, tau, 0.1, inflated);
         }
         let carries = *carried != NO_PAYLOAD;
@@ -58,7 +58,7 @@ fn every_disturbance_has_its_decision() {
     let implausible = |mass: f32| PayloadDecision::Refuse(Reason::Implausible, mass);
     let five = config.decision_blocks;
     let (warm, late) = (five, config.timeout_blocks);
-    for (carried, felt, blocks, wanted) in [
+    for (carried, actual, blocks, wanted) in [
         (NO_PAYLOAD, two, warm, PayloadDecision::Promote),
         (two, NO_PAYLOAD, five, PayloadDecision::Release),
         (NO_PAYLOAD, NO_PAYLOAD, five, PayloadDecision::Transient),
@@ -80,15 +80,18 @@ fn every_disturbance_has_its_decision() {
         (NO_PAYLOAD, of(light, [0.0; 3]), late, implausible(light)),
         (NO_PAYLOAD, heavy, late, implausible(heavy[0])),
     ] {
-        let (block, decision) = decided(&carried, &felt, 0.03);
+        let (block, decision) = decided(&carried, &actual, 0.03);
         let near = match (decision, wanted) {
             (PayloadDecision::Refuse(a, x), PayloadDecision::Refuse(b, y)) => {
                 a == b && (x - y).abs() < 0.02 * y
             }
             (decision, wanted) => decision == wanted,
         };
-        assert!(near, "{carried:?} {felt:?}: {decision:?}");
-        assert!((blocks..=blocks + 3).contains(&block), "{felt:?}: {block}");
+        assert!(near, "{carried:?} {actual:?}: {decision:?}");
+        assert!(
+            (blocks..=blocks + 3).contains(&block),
+            "{actual:?}: {block}"
+        );
     }
     // An empty hand under noise that no payload explains, and a payload that is hardly felt.
     let (_, released) = decided(&two, &NO_PAYLOAD, 2.0);
@@ -116,12 +119,12 @@ fn a_body_that_one_joint_alone_shows_is_none() {
     assert!(is_refused_for_residual(of_one), "{of_one:?}");
 }
 
-/// Background test with the payload `felt` by block where `carried` is in the torque: decisions with their blocks until the
+/// Background test with the payload `actual` by block where `carried` is in the torque: decisions with their blocks until the
 /// payload changes, and the mass of the last hypothesis, kg; `blocks` blocks, with torques of `height` times the noise of one
 /// standard deviation.
 fn background(
     carried: &Payload,
-    felt: impl Fn(u32) -> Payload,
+    actual: impl Fn(u32) -> Payload,
     (height, blocks): (f32, u32),
 ) -> (std::vec::Vec<(u32, PayloadDecision)>, f32) {
     let config = config();
@@ -137,7 +140,7 @@ fn background(
                 .wrapping_add(1);
             // Uniform, of variance 1.
             let noise = 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0);
-            let tau = payload_torque(&felt(block), &row) + 0.1 * noise;
+            let tau = payload_torque(&actual(block), &row) + 0.1 * noise;
             test.add_row(k % 2, carried, &row, tau, 0.1, 0.1);
         }
         let decision = test.decide(&config, *carried != NO_PAYLOAD, false, 1.0);
@@ -153,8 +156,8 @@ fn background(
 }
 
 /// The change of the payload in such a test.
-fn found(carried: &Payload, felt: &Payload, how: (f32, u32)) -> Option<(u32, PayloadDecision)> {
-    let (decisions, _) = background(carried, |_| *felt, how);
+fn found(carried: &Payload, actual: &Payload, how: (f32, u32)) -> Option<(u32, PayloadDecision)> {
+    let (decisions, _) = background(carried, |_| *actual, how);
     let is_change = |(_, decision): &(u32, PayloadDecision)| decision.is_change();
     decisions.into_iter().find(is_change)
 }
@@ -164,11 +167,11 @@ fn a_payload_below_the_noise_is_found_in_the_background_and_noise_is_none() {
     let light = of_mass(0.3);
     assert_eq!(found(&NO_PAYLOAD, &NO_PAYLOAD, (0.3, 150)), None);
     assert_eq!(found(&light, &light, (0.3, 150)), None);
-    for (carried, felt, wanted) in [
+    for (carried, actual, wanted) in [
         (NO_PAYLOAD, light, PayloadDecision::Promote),
         (light, NO_PAYLOAD, PayloadDecision::Release),
     ] {
-        let (block, decision) = found(&carried, &felt, (0.3, 150)).expect("a change");
+        let (block, decision) = found(&carried, &actual, (0.3, 150)).expect("a change");
         assert!(decision == wanted && block > 20, "{block}: {decision:?}");
     }
 }
@@ -188,8 +191,8 @@ fn a_payload_let_go_within_a_window_is_not_half_a_payload() {
     let body = of_mass(1.0);
     for height in [0.1, 0.2, 0.3] {
         for last in [40, 80, 120] {
-            let felt = |block| if block > last { NO_PAYLOAD } else { body };
-            let (decisions, _) = background(&body, felt, (height, 300));
+            let actual = |block| if block > last { NO_PAYLOAD } else { body };
+            let (decisions, _) = background(&body, actual, (height, 300));
             let (block, decision) = *decisions.last().expect("a change");
             assert_eq!(decision, PayloadDecision::Release, "{height} {block}");
             assert!(block > last, "{block}");
@@ -200,8 +203,8 @@ fn a_payload_let_go_within_a_window_is_not_half_a_payload() {
 #[test]
 fn what_a_body_explains_is_no_transient_though_it_is_quiet() {
     let light = of_mass(0.3);
-    for (felt, transient) in [(NO_PAYLOAD, true), (light, false)] {
-        let (decisions, _) = background(&NO_PAYLOAD, |_| felt, (1.0, 150));
+    for (actual, transient) in [(NO_PAYLOAD, true), (light, false)] {
+        let (decisions, _) = background(&NO_PAYLOAD, |_| actual, (1.0, 150));
         let is_over = |(_, decision): &&_| *decision == PayloadDecision::Transient;
         let over = decisions.iter().find(is_over);
         assert_eq!(over.is_some(), transient, "{decisions:?}");
@@ -217,8 +220,8 @@ fn a_body_is_found_soon_and_nearly_whole_whenever_it_is_picked_up() {
         let mut sum = 0.0;
         let picks = (0..300).step_by(30);
         for first in picks.clone() {
-            let felt = |block| if block < first { NO_PAYLOAD } else { body };
-            let (decisions, mass) = background(&NO_PAYLOAD, felt, (height, first + soon));
+            let actual = |block| if block < first { NO_PAYLOAD } else { body };
+            let (decisions, mass) = background(&NO_PAYLOAD, actual, (height, first + soon));
             let last = decisions.last().map(|(_, decision)| *decision);
             assert_eq!(last, Some(PayloadDecision::Promote), "{height} {first}");
             sum += mass;

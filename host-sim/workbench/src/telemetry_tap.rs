@@ -13,7 +13,7 @@ const MOST_JOINTS: usize = 8;
 /// Takes the bytes that a board sends, and writes its telemetry into a table.
 ///
 /// Fields and joints are found from the records: nothing is sent to the board.
-pub struct Overheard {
+pub struct TelemetryTap {
     path: PathBuf,
     period_s: f64,
     decoder: Decoder,
@@ -22,7 +22,7 @@ pub struct Overheard {
     recorder: Option<Recorder>,
 }
 
-impl Overheard {
+impl TelemetryTap {
     /// Begins a table at `path` with the first records.
     ///
     /// * `period_s` period of the board; a hello that is read along replaces it
@@ -161,11 +161,11 @@ mod tests {
                 .into_iter()
                 .flat_map(|frame| sent(BoardMessage::Telemetry(frame))),
         );
-        let mut overheard = Overheard::new(&along, 0.5);
+        let mut telemetry_tap = TelemetryTap::new(&along, 0.5);
         for part in bytes.chunks(37) {
-            overheard.take(part).expect("it can be written");
+            telemetry_tap.take(part).expect("it can be written");
         }
-        let whole = overheard.finish().expect("it can be written");
+        let whole = telemetry_tap.finish().expect("it can be written");
         assert_eq!(whole, Some((99, 0)));
         let lines = |path: &Path| -> Vec<String> {
             let text = std::fs::read_to_string(path).expect("it is there");
@@ -176,7 +176,7 @@ mod tests {
         own.remove(1);
         assert!(own == along, "{} {}", own.len(), along.len());
         assert!(here.path().join("along.mcap").exists());
-        let silent = Overheard::new(&here.path().join("none.csv"), 1e-3);
+        let silent = TelemetryTap::new(&here.path().join("none.csv"), 1e-3);
         assert_eq!(silent.finish().expect("no file"), None);
     }
 }
