@@ -278,7 +278,8 @@ impl Held {
         let with_torques = |a: &LogRow, b: &LogRow| (a.q, a.tau) == (b.q, b.tau);
         let alone = |a: &LogRow, b: &LogRow| a.q == b.q;
         let positions = Self::times(rows, alone).filter(|_| Self::are_held(rows));
-        let times = Self::times(rows, with_torques).or(positions);
+        // Torques may be read more often.
+        let times = positions.or_else(|| Self::times(rows, with_torques));
         Self {
             times: times.unwrap_or(1),
             torques: positions.is_none(),
@@ -433,6 +434,16 @@ pub(super) mod tests {
             let (rows, _, note) = kept(read);
             assert_eq!((rows.len(), note), (400, None));
         }
+        // Torques that are read twice as often.
+        let row = |k: i32| LogRow {
+            line: 0,
+            t_s: stamps[k as usize],
+            q: PerJoint::repeat(1, motion(2.5e-3 * f64::from(k / 8 * 8)).0),
+            qd: PerJoint::repeat(1, 0.0),
+            qdd: PerJoint::repeat(1, 0.0),
+            tau: PerJoint::repeat(1, f64::from(k / 4)),
+        };
+        assert_eq!(Held::of(&(0..400).map(row).collect::<Vec<_>>()).times, 8);
         // Encoders whose steps are as long as the way in two rows.
         let here = tempfile::tempdir().expect("a directory for temporary files");
         let path = here.path().join("coarse.csv");
