@@ -203,18 +203,13 @@ impl WiringArguments {
             let reason = format!("--joint {only}: the arm has joints 1 to {N}");
             return Err(unusable(reason));
         }
-        let mut wiring = profile.wiring::<A, N, P>(role, wires)?;
-        let chosen = |joint: &usize| self.joint.is_none_or(|only| only == *joint);
+        let wiring = profile.wiring::<A, N, P>(role, wires, self.joint)?;
         let mut buses = Vec::new();
-        for (joint, slot) in (1..).zip(&mut wiring.joints) {
-            if let Some(problem) = slot
-                .filter(|_| chosen(&joint))
-                .and_then(|own| self.role.problem(&own))
-            {
+        for (joint, slot) in (1..).zip(&wiring.joints) {
+            if let Some(problem) = slot.and_then(|own| self.role.problem(&own)) {
                 let file = &profile.file;
                 return Err(unusable(format!("{file}: joint {joint}: {problem}")));
             }
-            *slot = slot.filter(|_| chosen(&joint));
             buses.extend(slot.map(|own| own.bus));
         }
         let apart = buses.iter().any(|bus| *bus != buses[0]);

@@ -96,6 +96,8 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
     let cia402 = "cia402 = { mode = \"position\", counts_per_turn = 1e6, rated_torque = 40.0 }";
     let slow = with_drives(cia402).replace("rate_hz = 1000.0", "rate_hz = 500.0");
     write(here.join("cia402.toml"), slow);
+    let apart = profile.replace("rate_hz = 1000.0", "rate_hz = 500.0");
+    write(here.join("apart.toml"), apart.replace("1e6 }]", "5e5 }]"));
     let cases = [
         ("master", Role::Master, Wires::Can, ""),
         ("in-line", Role::InLine, Wires::Can, " --joint 2"),
@@ -119,7 +121,15 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         bytes[5] ^= 1;
         assert_eq!(Wiring::<6>::decode(&bytes), None);
     }
+    // A board in line of one drive has the bit rate of its bus.
+    let one = "wiring --profile apart.toml --role in-line --joint 5 --out one.bin";
+    succeeds(&here, one);
+    let mut bytes = fs::read(here.join("one.bin")).expect("it was written");
+    bytes.resize(Wiring::<6>::BYTES, 0xff);
+    let wiring = Wiring::<6>::decode(&bytes).expect("it is sound");
+    assert_eq!(wiring.bit_s, 500_000);
     for (profile, role, problem) in [
+        ("apart.toml", "master", "one bit_s and data_bit_s"),
         (
             PROFILE,
             "uart --joint 7",

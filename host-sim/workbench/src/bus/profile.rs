@@ -168,21 +168,29 @@ impl Profile {
         }
     }
 
-    /// Drives and role of a board on this bus, as its flash holds them.
+    /// Drives and role of a board on this bus, as its flash holds them: all drives, or that of joint `only`, from 1.
     ///
-    /// Errors: as [`config`](Self::config) and [`common_rates`](Self::common_rates).
+    /// Errors: as [`config`](Self::config) and, for all drives, [`common_rates`](Self::common_rates).
     pub fn wiring<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
         role: Role,
         wires: Wires,
+        only: Option<usize>,
     ) -> Result<Wiring<N>, BusError> {
-        let bit_s = self.common_rates()?.nominal as u32;
-        let joints = self.config::<A, N, P>()?.joints.into_iter();
+        let mut joints = self.config::<A, N, P>()?.joints.map(Some);
+        if let Some(only) = only {
+            let others = (1..).zip(&mut joints).filter(|(joint, _)| *joint != only);
+            others.for_each(|(_, slot)| *slot = None);
+        }
+        let rates = match only.and_then(|only| self.joint.get(only - 1)) {
+            Some(own) => self.bus[usize::from(own.bus)],
+            None => self.common_rates()?,
+        };
         Ok(Wiring {
             role,
             wires,
-            bit_s,
-            joints: joints.map(Some).collect(),
+            bit_s: rates.nominal as u32,
+            joints: joints.into_iter().collect(),
         })
     }
 

@@ -270,7 +270,7 @@ impl FrameBoard for Emulated {
 
 fn wiring(profile: &Profile, role: Role) -> Wiring<JOINTS> {
     profile
-        .wiring::<Ur5, JOINTS, PARAMETERS>(role, Wires::Can)
+        .wiring::<Ur5, JOINTS, PARAMETERS>(role, Wires::Can, None)
         .expect("it fits the arm")
 }
 
