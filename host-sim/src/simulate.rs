@@ -143,6 +143,10 @@ impl MotionArguments {
             Trajectory::Excitation { duration_s, .. } => *duration_s,
             ends => asked_s.min(ends.duration_s()),
         };
+        let ticks = (duration_s / PERIOD_S).round() as usize;
+        if ticks == 0 {
+            return Err(unusable("the motion is shorter than a period of 1 ms"));
+        }
         Ok(Scene {
             robot: robot.clone(),
             plant: Plant::new(&truth, config, self.seed)
@@ -151,7 +155,7 @@ impl MotionArguments {
                 .with_faults(self.faults.faults()),
             pd: PdConfig::tuned(&nominal, self.pd_bandwidth_hz, PERIOD_S),
             trajectory,
-            ticks: (duration_s / PERIOD_S).round() as usize,
+            ticks,
         })
     }
 }
@@ -171,9 +175,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     let mut scene = arguments.motion.scene::<N>(robot)?;
-    if scene.ticks == 0 {
-        return Err(unusable("--duration-s is shorter than a period of 1 ms"));
-    }
     let gains = robot.joints.iter().map(Joint::gain);
     let gains = arguments.current.then(|| Joints::from_iterator(gains));
     let mut seen = ClosedLoopLog::new(&scene.robot, scene.ticks);
