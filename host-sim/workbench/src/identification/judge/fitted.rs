@@ -203,7 +203,10 @@ pub(super) fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<Flang
     let moment = |axis: Vector3<f64>| (at(0.1 * axis) - &here) * 10.0;
     let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(moment);
     let columns = DMatrix::from_columns(&[here, x, y, z]);
-    let gram = columns.tr_mul(&(&inverse * &columns)).try_inverse()?;
+    // Of an arm in a plane, moments beside it give no torque.
+    let gram = columns.tr_mul(&(&inverse * &columns));
+    let least = 1e-14 * gram.amax();
+    let gram = gram.pseudo_inverse(least).ok()?;
     let moment = columns.tr_mul(&(&inverse * &rest));
     let found = &gram * &moment;
     let (mass, deviation) = (found[0], gram[(0, 0)].sqrt());
@@ -221,6 +224,34 @@ mod tests {
     use crate::identification::ColumnSet;
     use crate::identification::dataset::random_rows;
     use crate::identification::judge::JointCheck;
+
+    #[test]
+    fn a_payload_is_found_where_a_moment_of_it_gives_no_torque() {
+        // In a plane: what is beside it gives no torque.
+        let mut robot = Robot::load("ur5").expect("built in");
+        robot.joints.remove(0);
+        robot.joints.truncate(2);
+        robot.flange.rot_parent_child = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+        let layout = Layout::new(&robot, &ColumnSet::plain());
+        let mut loaded = robot.clone();
+        let last = &mut loaded.joints[1].link;
+        let body = Link {
+            mass: 20.0,
+            com: robot.flange.origin,
+            inertia_com: Matrix3::identity() * 2e-3,
+        };
+        *last = Link::lumped(&[*last, body]).expect("a body");
+        let theta = description(&loaded, &layout);
+        let fit = Fit {
+            covariance: DMatrix::identity(theta.len(), theta.len()) * 1e-6,
+            theta,
+            sigma: crate::dynamics::PerJoint::repeat(2, 1.0),
+            iterations: 1,
+        };
+        let flange = payload(&robot, &layout, &fit).expect("a payload");
+        assert!((flange.mass - 20.0).abs() < 0.1, "{}", flange.mass);
+        assert!(flange.is_certain(), "{}", flange.deviation);
+    }
 
     #[test]
     fn a_body_that_is_picked_up_is_found_with_its_time() {
