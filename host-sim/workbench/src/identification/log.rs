@@ -95,6 +95,8 @@ pub(super) struct Roughness {
     first: f64,
 }
 
+/// Finding where [`Roughness::are_swapped`].
+pub(super) const SWAPPED: &str = "positions and torques are swapped: what stands for a torque is smoother than what stands for a position";
 /// Rows behind a jump that are looked at for its reason.
 const BEHIND: usize = 500;
 /// Distance from a whole turn within which a step is a wrap, rad.
@@ -318,8 +320,7 @@ impl LogReader {
             let swapped = self.is_swapped();
             let name = &self.rows.header[self.q.places[joint]];
             let problem = match swapped {
-                true => "positions and torques are swapped: what stands for a torque is smoother than what stands for a position"
-                    .to_owned(),
+                true => SWAPPED.to_owned(),
                 // A jump that a joint with ends in its range cannot make, rad.
                 false => format!(
                     "column {name}: a jump of {jump:.3} rad, a wrap that this joint with ends in its range cannot make: a torque \

@@ -4,7 +4,7 @@
 use super::{Judgement, MOVED};
 use crate::identification::IdentifyError;
 use crate::identification::clock::GAP_PERIODS;
-use crate::identification::log::{LogRow, Roughness, WITHOUT_ROWS};
+use crate::identification::log::{LogRow, Roughness, SWAPPED, WITHOUT_ROWS};
 use crate::identification::whole_log::WholeLog;
 use crate::robot::{Joint, Robot};
 use std::path::Path;
@@ -263,36 +263,31 @@ pub(super) fn units(
     // A torque without noise is smooth, too, but no position.
     let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough))
         && joints().all(|(_, (joint, seen))| fits(joint, seen));
-    if let Some((number, (joint, seen))) = far {
-        let text = if swapped {
-            "positions and torques are swapped: what stands for a torque is smoother than what stands for a position".to_owned()
-        } else {
-            let (most, (low, high)) = (most(seen.position), joint.limits.position);
-            let fits = most <= BEYOND * low.abs().max(high.abs());
-            if fits && seen.fast <= 2.0 * FEW * seen.rows {
-                format!(
-                    "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {WITHOUT_ROWS}; or are the limits too low (--velocity-limits)?",
-                    number + 1,
-                    seen.fastest_s,
-                    seen.speed,
-                    joint.limits.velocity,
-                    seen.fast
-                )
-            } else {
-                format!(
-                    "q{} reaches {most:.4} rad, and {:.4} rad/s at {:.3} s; its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg, for all logs), does it jump there, or are the limits too low (--velocity-limits; range of the description)?",
-                    number + 1,
-                    seen.speed,
-                    seen.fastest_s,
-                    joint.limits.velocity
-                )
-            }
-        };
-        judgement.find(true, text);
+    if swapped {
+        judgement.find(true, SWAPPED);
         return;
     }
-    if swapped {
-        let text = "positions and torques are swapped: the torque is the smoother of the two";
+    if let Some((number, (joint, seen))) = far {
+        let (most, (low, high)) = (most(seen.position), joint.limits.position);
+        let fits = most <= BEYOND * low.abs().max(high.abs());
+        let text = if fits && seen.fast <= 2.0 * FEW * seen.rows {
+            format!(
+                "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {WITHOUT_ROWS}; or are the limits too low (--velocity-limits)?",
+                number + 1,
+                seen.fastest_s,
+                seen.speed,
+                joint.limits.velocity,
+                seen.fast
+            )
+        } else {
+            format!(
+                "q{} reaches {most:.4} rad, and {:.4} rad/s at {:.3} s; its range is {low:.3} … {high:.3} rad, its largest speed {:.3} rad/s: are these degrees (--units q=deg, for all logs), does it jump there, or are the limits too low (--velocity-limits; range of the description)?",
+                number + 1,
+                seen.speed,
+                seen.fastest_s,
+                joint.limits.velocity
+            )
+        };
         judgement.find(true, text);
         return;
     }
