@@ -1,14 +1,13 @@
 //! Telemetry read along on a board's line, while another host drives the board.
 
 use crate::telemetry::{Recorder, Selection};
+use foretorque_link::bank::MAX_JOINTS;
 use foretorque_link::wire::{BoardMessage, Decoder, Field, TelemetryFrame};
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// Records from which the fields of the stream are found: one of them may have lost a frame.
 const FIRST_RECORDS: usize = 8;
-/// Joints that a board may have.
-const MOST_JOINTS: usize = 8;
 
 /// Takes the bytes that a board sends, and writes its telemetry into a table.
 ///
@@ -103,7 +102,7 @@ fn joints_of(frame: &TelemetryFrame) -> Option<usize> {
         let present = present.filter(|field| frame.fields & field.bit() != 0);
         present.map(|field| field.bytes(joints)).sum()
     };
-    let found = (1..=MOST_JOINTS).find(|joints| length(*joints) == frame.bytes.len());
+    let found = (1..=MAX_JOINTS).find(|joints| length(*joints) == frame.bytes.len());
     found.filter(|_| length(1) != length(2))
 }
 
