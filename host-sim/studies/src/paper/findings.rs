@@ -43,7 +43,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         grid.iter().copied().filter(fits).collect()
     };
     let noisy = of(None, None);
-    if let Some((mean, least, most)) = ratios(&noisy, "bp_physical", "wls") {
+    if let Some((mean, least, most)) = ratios(&noisy, "bp_physical") {
         out.push(format!(
             "Robustness to noise: over {} noisy conditions the error of bp_physical is {mean:.3} times that of weighted least squares \
              (geometric mean, {least:.3} to {most:.3}): {}.",
@@ -52,7 +52,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         ));
     }
     let hit = of(None, Some(true));
-    let mean = |conditions: &[&Condition], of: &str| Some(ratios(conditions, of, "wls")?.0);
+    let mean = |conditions: &[&Condition], of: &str| Some(ratios(conditions, of)?.0);
     if let (Some(physical), Some(robust)) = (mean(&hit, "bp_physical"), mean(&hit, "irls")) {
         out.push(format!(
             "Outliers: with 1 % of them bp_physical has {physical:.3} times the error of weighted least squares, robust least squares \
@@ -82,7 +82,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
             ));
         }
     }
-    if let Some((mean, least, most)) = ratios(&noisy, "bp_black_box", "wls") {
+    if let Some((mean, least, most)) = ratios(&noisy, "bp_black_box") {
         out.push(format!(
             "The black-box network is {mean:.0} times worse than weighted least squares on unseen paths ({least:.0} to {most:.0})."
         ));
@@ -152,11 +152,11 @@ pub(super) fn of_times(times: &Times) -> Option<String> {
     ))
 }
 
-/// Geometric mean, least and most of the error of one method over that of another.
-fn ratios(conditions: &[&Condition], of: &str, over: &str) -> Option<(f64, f64, f64)> {
+/// Geometric mean, least and most of the error of a method over that of weighted least squares.
+fn ratios(conditions: &[&Condition], of: &str) -> Option<(f64, f64, f64)> {
     let ratios = conditions.iter().filter_map(|c| {
         let error = |name: &str| Some(c.methods.get(name)?.path_nrmse_ratio);
-        Some(error(of)? / error(over)?)
+        Some(error(of)? / error("wls")?)
     });
     let usable = |ratio: &f64| ratio.is_finite() && *ratio > 0.0;
     let ratios: Vec<f64> = ratios.filter(usable).collect();
@@ -225,7 +225,7 @@ mod tests {
             (0.01, "claim is not confirmed"),
             (0.02, "claim is refuted"),
         ] {
-            let (mean, ..) = ratios(&[&condition(physical)], "bp_physical", "wls").expect("both");
+            let (mean, ..) = ratios(&[&condition(physical)], "bp_physical").expect("both");
             assert!(verdict(mean).contains(claim), "{physical}");
         }
     }
