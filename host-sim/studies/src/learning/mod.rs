@@ -319,19 +319,13 @@ fn row(outcome: &Comparison) -> [String; 6] {
 fn text(report: &LearningReport) -> String {
     let all: Vec<&Comparison> = report.outcomes.iter().collect();
     let (header, rows) = matrix(report);
-    let missed: Vec<_> = report
-        .outcomes
-        .iter()
-        .filter(|outcome| !outcome.met)
-        .collect();
+    let missed = report.outcomes.iter().filter(|outcome| !outcome.met);
+    let mut missed = missed.map(row).peekable();
     let columns = "arm | scenario | seed | figure | measured | reach";
     let matrix = aligned(&header, rows);
-    let missed = match missed.is_empty() {
-        true => String::new(),
-        false => format!(
-            "\nMissed:\n\n{}",
-            aligned(columns, missed.into_iter().map(row))
-        ),
+    let missed = match missed.peek() {
+        None => String::new(),
+        Some(_) => format!("\nMissed:\n\n{}", aligned(columns, missed)),
     };
     let reached = reached(&all);
     format!("host-sim experiment learning: {reached} reached.\n\n{matrix}{missed}")
