@@ -51,18 +51,6 @@ fn states<const N: usize>() -> impl Iterator<Item = [JointVector<N>; 3]> {
     (0..STATES).map(move |_| [draw(PI), draw(PI), draw(10.0)])
 }
 
-fn is_affine<A: Arm<N, P>, const N: usize, const P: usize>() {
-    for [q, qd, qdd] in states::<N>() {
-        let zero = JointVector::zeros();
-        // Halves are exact in f32, so the sum of the accelerations is too.
-        let half = qdd * 0.5;
-        let whole = torque::<A, N, P>(&q, &qd, &qdd) + torque::<A, N, P>(&q, &qd, &zero);
-        let halves = torque::<A, N, P>(&q, &qd, &half) * 2.0;
-        let affine = close(&whole, &halves, &tolerance::<A, N, P>(4.0));
-        assert!(affine, "{} {q}", A::NAME);
-    }
-}
-
 fn has_a_mass_matrix<A: Arm<N, P>, const N: usize, const P: usize>() {
     // Large, so that differences of torques keep their digits.
     let push = 10.0_f32;
@@ -127,11 +115,6 @@ fn nothing_weighs_nothing<A: Arm<N, P>, const N: usize, const P: usize>() {
         let tau = rnea::<A, N, P>(&BaseParameters::zeros(), &JointMotion { q, qd, qdd });
         assert_eq!(tau, JointVector::<N>::zeros(), "{}", A::NAME);
     }
-}
-
-#[test]
-fn torque_is_affine_in_acceleration() {
-    each_arm!(is_affine);
 }
 
 #[test]
