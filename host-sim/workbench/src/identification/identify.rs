@@ -1,6 +1,5 @@
 //! From logs to a report and the parameters of a bank.
 
-use super::IdentifyError;
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
 use super::judge::{Judgement, after_fit, change};
@@ -12,6 +11,7 @@ use super::record::{RIVALS, Report, Unseen};
 use super::solve::solve_all;
 use super::stream::{folded, for_each_prepared};
 use super::study::{Study, key_of, recommended, truths};
+use super::{IdentifyError, numbers};
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
@@ -162,12 +162,10 @@ pub fn identify(
     let worse = |(own, described): (f64, f64)| own > 1.05 * described;
     let lost = pairs.enumerate();
     let lost = lost.filter(|(_, (own, described))| own.zip(**described).is_some_and(worse));
-    let lost = lost.map(|(joint, _)| (joint + 1).to_string());
-    let lost: Vec<String> = lost.collect();
+    let lost = numbers(lost.map(|(joint, _)| joint));
     if !lost.is_empty() {
         judgement.find(false, format!(
-            "joint {}: the identified parameters predict worse than the description: do the logs show enough of its motion, and are their scales right?",
-            lost.join(", ")
+            "joint {lost}: the identified parameters predict worse than the description: do the logs show enough of its motion, and are their scales right?"
         ));
     }
     for (rival, limit) in RIVALS.iter().zip([1.05, 1.0]) {

@@ -104,6 +104,12 @@ fn listed(names: &[String]) -> String {
     names[..names.len().min(SHOWN)].join(", ") + &more
 }
 
+/// Numbers of joints from 1 on, in words.
+fn numbers(joints: impl Iterator<Item = usize>) -> String {
+    let numbers: Vec<String> = joints.map(|joint| (joint + 1).to_string()).collect();
+    numbers.join(", ")
+}
+
 /// The refusal of a log.
 fn refused(path: &Path, problem: impl std::fmt::Display) -> IdentifyError {
     Refusal::of(path.display(), problem).into()

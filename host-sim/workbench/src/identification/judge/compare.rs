@@ -5,6 +5,7 @@ use super::ranges::Extremes;
 use super::{DEVIATIONS, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE, SOUND_SIZE};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;
+use crate::identification::numbers;
 use crate::robot::Robot;
 
 /// Reasons that need more than the torques: fits of the judge.
@@ -294,12 +295,6 @@ impl<'a> Comparison<'a> {
             })
         })
     }
-}
-
-/// Numbers of joints from 1 on, in words.
-fn numbers(joints: impl Iterator<Item = usize>) -> String {
-    let numbers: Vec<String> = joints.map(|joint| (joint + 1).to_string()).collect();
-    numbers.join(", ")
 }
 
 #[cfg(test)]
