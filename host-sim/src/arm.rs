@@ -92,7 +92,7 @@ impl ArmOptions {
         let mut import = Robot::load_selected(name, &self.selection())?;
         if let Some(called) = &self.called {
             if !Robot::is_name(called) {
-                let form = "must be lower-case letters, digits and underscores, a letter first";
+                let form = Robot::NAME_FORM;
                 return Err(unusable(format!("--name {called}: {form}")));
             }
             import.robot.name.clone_from(called);

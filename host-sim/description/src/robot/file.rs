@@ -121,8 +121,7 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
         file,
         place: String::new(),
     };
-    let form = "must be lower-case letters, digits and underscores, a letter first";
-    check.that(Robot::is_name(&raw.name), "name", form)?;
+    check.that(Robot::is_name(&raw.name), "name", Robot::NAME_FORM)?;
     check.finite("gravity_m_s2", &raw.gravity_m_s2)?;
     let gravity = Vector3::from(raw.gravity_m_s2);
     let wrong = format!("is more than any planet's, {MOST_GRAVITY_M_S2} m/s²");

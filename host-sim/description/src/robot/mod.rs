@@ -12,6 +12,8 @@ mod overlay;
 
 pub use body::{Coupling, Perturbation};
 pub(crate) use file::fits_board;
+pub use foretorque::arm::LINK_PARAMETERS;
+pub use foretorque::dynamics::MAX_JOINTS;
 pub use geometry::{Capsule, Placement, Workspace, segment_distance};
 pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 
@@ -19,12 +21,6 @@ use foretorque::arm::JointLimits;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
-
-/// Number of standard inertial parameters of a link, in the order of eq. 14.
-pub const LINK_PARAMETERS: usize = 10;
-
-/// Most joints an arm may have: as many as a bank of the board holds.
-pub const MAX_JOINTS: usize = foretorque::dynamics::MAX_JOINTS;
 
 /// Mass distribution of one link.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -184,6 +180,10 @@ fn one() -> f64 {
 }
 
 impl Robot {
+    /// Form of a name, as refusals give it.
+    pub const NAME_FORM: &str =
+        "must be lower-case letters, digits and underscores, a letter first";
+
     /// Whether an arm may be called so: like a Rust module.
     pub fn is_name(name: &str) -> bool {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
