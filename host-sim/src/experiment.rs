@@ -3,7 +3,7 @@
 use super::arm::ArmOptions;
 use super::boards::BoardChoice;
 use super::terminal::{Bar, show};
-use super::{Failure, Snapshot, excite, identification, unusable};
+use super::{Failure, Snapshot, duration, excite, identification, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
@@ -95,10 +95,10 @@ struct Demo {
     #[arg(long, default_value = "qemu")]
     board: BoardChoice,
     /// Arm time with learning on, long run, s
-    #[arg(long, default_value_t = DemoConfig::default().learning_s)]
+    #[arg(long, default_value_t = DemoConfig::default().learning_s, value_parser = duration)]
     learning_s: f64,
     /// Arm time with learning on, flashable firmware, s
-    #[arg(long, default_value_t = DemoConfig::default().usart_learning_s)]
+    #[arg(long, default_value_t = DemoConfig::default().usart_learning_s, value_parser = duration)]
     usart_learning_s: f64,
 }
 
@@ -301,8 +301,7 @@ impl Jobs {
 }
 
 fn run_demo(arguments: &Demo) -> Result<(), Failure> {
-    let usable = |time_s: f64| time_s.is_finite() && time_s >= 1.0;
-    if !usable(arguments.learning_s) || !usable(arguments.usart_learning_s) {
+    if arguments.learning_s.min(arguments.usart_learning_s) < 1.0 {
         return Err(unusable("times of learning must be at least 1 s"));
     }
     if arguments.usart_learning_s > arguments.learning_s {
