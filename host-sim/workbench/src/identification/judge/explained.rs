@@ -217,32 +217,21 @@ fn readings(states: &[Motion], extremes: &[Extremes], weights: &[f64]) -> Vec<Re
             swap.swap(a, b);
             let exchanged = changed(&|own| own.swap(a, b));
             let are = format!("of joints {} and {} are swapped", a + 1, b + 1);
-            let (q, both) = (exchanged.clone(), exchanged);
-            read(format!("torques {are}"), "exchanged", states.to_vec(), swap);
-            read(format!("positions {are}"), "exchanged", q, straight);
-            read(
-                format!("positions and torques {are}"),
-                "exchanged",
-                both,
-                swap,
-            );
+            for (what, states, torques) in [
+                ("torques", states.to_vec(), swap),
+                ("positions", exchanged.clone(), straight),
+                ("positions and torques", exchanged, swap),
+            ] {
+                read(format!("{what} {are}"), "exchanged", states, torques);
+            }
         }
         let mut turned = straight;
         turned[a].1 = -1.0;
         let scaled = |scale: f64| changed(&|own| own[a] *= scale);
-        let count = format!("of joint {} count the other way", a + 1);
-        read(
-            format!("positions {count}"),
-            "turned",
-            scaled(-1.0),
-            straight,
-        );
-        read(
-            format!("positions and torques {count}"),
-            "turned",
-            scaled(-1.0),
-            turned,
-        );
+        for (what, torques) in [("positions", straight), ("positions and torques", turned)] {
+            let text = format!("{what} of joint {} count the other way", a + 1);
+            read(text, "turned", scaled(-1.0), torques);
+        }
         // An error of a light joint's centres of mass may turn its gravity by any angle.
         if weights[a] < CERTAIN {
             continue;
