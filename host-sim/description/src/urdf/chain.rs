@@ -327,13 +327,12 @@ fn lower_speeds(joints: &mut [Joint], notes: &mut Vec<String>) {
     }
 }
 
-/// Lower-case letters, digits and underscores, a letter first: what the name of a Rust module allows.
+/// A name like `name` that an arm may have.
 fn plain_name(name: &str) -> String {
     let name = name.to_ascii_lowercase();
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric(), "_");
-    if plain.starts_with(|c: char| c.is_ascii_lowercase()) {
-        plain
-    } else {
-        format!("arm_{plain}")
+    match Robot::is_name(&plain) {
+        true => plain,
+        false => format!("arm_{plain}"),
     }
 }
