@@ -106,6 +106,46 @@ const LARGEST: f64 = 1e7;
 /// Range from which a joint is continuous, rad: a turn, but for rounding.
 const TURN_RAD: f64 = TAU - 0.01;
 
+/// The map of a log's columns, the `given` one or that of a known source, and whether the log has the positions of it.
+fn map_of(
+    rows: &Rows,
+    given: LogColumns,
+    robot: &Robot,
+    notes: &mut Vec<String>,
+) -> Result<(LogColumns, bool), TableError> {
+    let own = ["q0_rad", "q1_rad", "q2_rad", "tau1_nm", "i1_a"];
+    let own = given.source.is_none() && own.iter().any(|name| has(rows, name));
+    let is_named = |map: &LogColumns| map.q_rad.iter().any(|q| is_there(rows, q, robot));
+    let by_map = is_named(&given);
+    if own || by_map {
+        return Ok((given, by_map));
+    }
+    let is_wanted = |source: &str| given.source.as_ref().is_none_or(|wanted| wanted == source);
+    let mut known = LogColumns::known();
+    known.retain(|(source, map)| is_wanted(source) && is_named(map));
+    let is_timed = |map: &LogColumns| {
+        let names = [&given.t_s, &map.t_s].into_iter().flatten();
+        let mut names = names.map(String::as_str).chain(["t_s"]);
+        given.rate_hz.is_some() || names.any(|name| has(rows, name))
+    };
+    let timed = known.iter().find(|(_, map)| is_timed(map));
+    let Some((source, map)) = timed.or(known.first()).cloned() else {
+        return Err(no_columns(rows, robot));
+    };
+    notes.push(format!("{}: columns of {source}", rows.path.display()));
+    let t_s = given.t_s.filter(|name| given.required || has(rows, name));
+    let map = LogColumns {
+        t_s: t_s.or(map.t_s.filter(|_| given.rate_hz.is_none())),
+        rate_hz: given.rate_hz,
+        effort: given.effort.or(map.effort),
+        gear_ratios: given.gear_ratios,
+        all_units: given.all_units,
+        of_joints: given.of_joints,
+        ..map
+    };
+    Ok((map, true))
+}
+
 impl LogReader {
     /// Opens a log. Column names of the map win over the project's own; time, position and torque (or current) must be there.
     /// Without either, the columns of a known source are taken.
@@ -124,47 +164,8 @@ impl LogReader {
             likeness: &|names| likeness(names, given.q_rad.as_ref(), robot),
         };
         let mut rows = Rows::named(path, &given.names, &topics)?;
-        let own = ["q0_rad", "q1_rad", "q2_rad", "tau1_nm", "i1_a"];
-        let own = given.source.is_none() && own.iter().any(|name| has(&rows, name));
         let mut notes = rows.notes.clone();
-        let named = |map: &LogColumns| match &map.q_rad {
-            Some(q) => is_there(&rows, q, robot),
-            None => false,
-        };
-        let by_map = named(&given);
-        let (map, mapped) = if own || by_map {
-            (given.clone(), by_map)
-        } else {
-            let mut known = LogColumns::known();
-            known.retain(|(source, map)| {
-                given.source.as_ref().is_none_or(|wanted| wanted == source) && named(map)
-            });
-            let is_timed = |map: &LogColumns| {
-                let names = [&given.t_s, &map.t_s].into_iter().flatten();
-                let mut names = names.map(String::as_str).chain(["t_s"]);
-                given.rate_hz.is_some() || names.any(|name| has(&rows, name))
-            };
-            let Some(first) = known.first() else {
-                return Err(no_columns(&rows, robot));
-            };
-            let found = known.iter().find(|(_, map)| is_timed(map));
-            let (source, map) = found.unwrap_or(first).clone();
-            notes.push(format!("{}: columns of {source}", path.display()));
-            let effort = given.effort.or(map.effort);
-            let (gear_ratios, all_units) = (given.gear_ratios.clone(), given.all_units.clone());
-            let t_s = given.t_s.clone();
-            let t_s = t_s.filter(|name| given.required || has(&rows, name));
-            let map = LogColumns {
-                t_s: t_s.or(map.t_s.filter(|_| given.rate_hz.is_none())),
-                rate_hz: given.rate_hz,
-                effort,
-                gear_ratios,
-                all_units,
-                of_joints: given.of_joints,
-                ..map
-            };
-            (map, true)
-        };
+        let (map, mapped) = map_of(&rows, given, robot, &mut notes)?;
         let own_units = map.all_units.clone().unwrap_or_default().scale;
         let map_units = map.all_units.as_ref().or(map.units.as_ref());
         let map_units = map_units.cloned().unwrap_or_default().scale;
