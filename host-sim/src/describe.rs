@@ -42,6 +42,15 @@ impl Describe {
                 "rotor inertia of joints {unknown:?} not known: 0 in the firmware, torque limit / 200 rad/s² in a simulated arm"
             ));
         }
+        let weights = robot.weight_torques();
+        for (joint, weight) in robot.joints.iter().zip(weights.iter()) {
+            let (name, limit) = (&joint.name, joint.limits.torque);
+            if *weight > limit {
+                notes.push(format!(
+                    "joint '{name}': its torque limit of {limit} N·m is below the {weight:.0} N·m of the arm's own weight in some poses: correct it (--torque-limits)"
+                ));
+            }
+        }
         let toml = |text: String| {
             notes.iter().try_for_each(|note| show!("# {note}"))?;
             show!("{}", text.trim_end())

@@ -260,7 +260,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         (scale(one(4), 10.0), "torque of joint 4 is "),
         (
             scale(one(3), 1e3),
-            "those of the others are within theirs; drive gain or unit?",
+            "those of the others are nearer to theirs; drive gain, unit, or a limit of the description (--torque-limits)?",
         ),
         (Box::new(late), " ms behind the positions"),
         (
@@ -286,6 +286,14 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let bare: Vec<String> = fast.lines().map(bare).collect();
     write(here.join("bad.csv"), bare.join("\n"));
     judged("times: doubled they follow the description");
+    // A limit that some export has put there.
+    write(here.join("good.csv"), &good);
+    let weak = "--torque-limits 150,5,150,28,28,28";
+    let remedy = "of the arm's own weight: correct it (--torque-limits)";
+    let identify = format!("identify --robot ur5 --log good.csv {weak} --methods wls --out out");
+    refused(&here, &identify, remedy);
+    let described = succeeds(&here, &format!("describe ur5 {weak}"));
+    assert_contains(&described, "torque limit of 5 N·m is below the");
     let turned = planted(&good, scale(TAU..TAU + 6, -1.0).as_ref());
     write(here.join("turned.csv"), turned);
     let step = std::f64::consts::TAU / 4096.0;

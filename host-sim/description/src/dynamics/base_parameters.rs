@@ -106,6 +106,20 @@ pub fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
 }
 
 impl Robot {
+    /// Largest torque of the arm's own weight in each joint over random poses, N·m.
+    pub fn weight_torques(&self) -> PerJoint<f64> {
+        let bodies = RigidBodies::new(self);
+        let poses = random_motions(self.joint_count(), STATES);
+        let mut most = PerJoint::repeat(self.joint_count(), 0.0_f64);
+        for pose in poses {
+            let torques = bodies.gravity_torques(&pose.q);
+            for (most, torque) in most.iter_mut().zip(torques.iter()) {
+                *most = most.max(torque.abs());
+            }
+        }
+        most
+    }
+
     /// Map from the standard parameters of this robot to its base parameters.
     pub fn base_map(&self) -> BaseMap {
         BaseMap::of(self).expect("columns are taken only if they are independent")

@@ -251,10 +251,16 @@ fn origin(node: Node<'_, '_>) -> Result<(Placement, bool), String> {
     Ok((Placement::from_xyz_rpy(xyz, rpy), moved))
 }
 
-/// The angle, or the multiple of π/2 it is meant to be.
+/// The angle, or the multiple of π/2 it is meant to be: within the tolerance, or written with two decimals or more that are
+/// those of the multiple, rounded or cut off, as in 1.571.
 pub(super) fn squared(angle: f64) -> f64 {
     let nearest = (angle / FRAC_PI_2).round() * FRAC_PI_2;
-    if (angle - nearest).abs() < RIGHT_ANGLE_TOLERANCE {
+    let written = (2..5).any(|decimals| {
+        let [given, meant] = [angle, nearest].map(|angle| angle * 10_f64.powi(decimals));
+        let near = |whole: f64| (given - whole).abs() < 1e-6;
+        near(meant.round()) || near(meant.trunc())
+    });
+    if written || (angle - nearest).abs() < RIGHT_ANGLE_TOLERANCE {
         nearest
     } else {
         angle
@@ -335,4 +341,31 @@ pub(super) fn list(text: &str) -> Option<Vec<f64>> {
 pub(super) fn parse_number(text: &str) -> Option<f64> {
     let value = text.trim().parse().ok();
     value.filter(|&value| fits_board(value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    #[test]
+    fn right_angles_are_known_by_their_decimals_and_no_other_angle_is_one() {
+        let right = [1.57, 1.571, 1.5707, -1.5708, 1.57079632, 1.570796326];
+        for angle in right {
+            assert_eq!(squared(angle), FRAC_PI_2.copysign(angle), "{angle}");
+        }
+        for (angle, meant) in [
+            (3.14, PI),
+            (3.141, PI),
+            (3.142, PI),
+            (-4.71, -3.0 * FRAC_PI_2),
+        ] {
+            assert_eq!(squared(angle), meant, "{angle}");
+        }
+        for angle in [
+            0.0, 1.6, 1.58, 1.572, 1.5709, 1.5702, 3.15, 0.01, 0.001, 0.785, 1.5705963,
+        ] {
+            assert_eq!(squared(angle), angle);
+        }
+    }
 }

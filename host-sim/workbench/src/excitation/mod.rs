@@ -245,7 +245,9 @@ fn other_joints(found: usize, expected: usize) -> Refusal {
 
 /// The refusal of paths whose torque does not distinguish all parameters.
 fn unseen() -> Refusal {
-    refused("within these limits torque cannot see all base parameters")
+    refused(
+        "within these limits torque cannot see all base parameters: widen the motion (--range-rad, --velocity-limits), or correct --torque-limits",
+    )
 }
 
 #[cfg(test)]

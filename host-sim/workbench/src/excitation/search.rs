@@ -343,9 +343,9 @@ impl Search<'_> {
         let joints = self.robot.joints.iter().zip(needed.iter());
         let weak = joints.zip(self.objective.torque.iter());
         let weak = weak.filter(|((_, needed), allowed)| needed > allowed);
-        let weak = weak.map(|((joint, needed), _)| {
+        let weak = weak.map(|((joint, needed), allowed)| {
             format!(
-                "joint '{}' needs {needed:.3} N·m even where it hardly moves, of which {:.3} N·m are friction, its limit is {} N·m",
+                "joint '{}' needs {needed:.3} N·m even where it hardly moves, of which {:.3} N·m are friction, its limit is {} N·m and leaves {allowed:.3} N·m for the motion",
                 joint.name, joint.friction.coulomb, joint.limits.torque
             )
         });

@@ -324,8 +324,8 @@ impl LogReader {
                 true => SWAPPED.to_owned(),
                 // A jump that a joint with ends in its range cannot make, rad.
                 false => format!(
-                    "column {name}: a jump of {jump:.3} rad, a wrap that this joint with ends in its range cannot make: a torque \
-                     in the place of the position, or other units (--units)?"
+                    "column {name}: a jump of {jump:.3} rad, a wrap that this joint with ends in its range cannot make: \
+                     angles from 0 to 360° (take a turn off those beyond half a turn, in all logs), a torque in the place of the position, or other units (--units)?"
                 ),
             };
             return Err(TableError::at(&self.rows.path, row.line, problem));

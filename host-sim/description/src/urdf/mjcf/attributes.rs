@@ -126,7 +126,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 'y' => Vector3::y_axis(),
                 _ => Vector3::z_axis(),
             };
-            let turn = Rotation3::from_axis_angle(&about, self.angle(*angle));
+            let turn = Rotation3::from_axis_angle(&about, squared(self.angle(*angle)));
             // Lower case turns about the axes as they move, upper case about the fixed ones.
             rot = match axis.is_ascii_lowercase() {
                 true => rot * turn,
@@ -152,7 +152,8 @@ impl<'a, 'input> Reader<'a, 'input> {
                         .to_rotation_matrix()
                 }
                 ("axisangle", &[x, y, z, angle]) => {
-                    Rotation3::from_axis_angle(&unit(Vector3::new(x, y, z))?, self.angle(angle))
+                    let axis = unit(Vector3::new(x, y, z))?;
+                    Rotation3::from_axis_angle(&axis, squared(self.angle(angle)))
                 }
                 ("xyaxes", &[a, b, c, d, e, f]) => {
                     let x = unit(Vector3::new(a, b, c))?.into_inner();

@@ -260,7 +260,6 @@ impl<'a> Comparison<'a> {
     fn gravity(&self, payload: &dyn Fn() -> Option<String>) -> Option<String> {
         let off = self.heavy().filter(|&joint| {
             let own = &self.own[joint];
-            let (low, high) = SOUND_SCALE;
             let clear = own.deviation * DEVIATIONS < (own.scale - 1.0).abs();
             let (least, most) = (own.scale.min(own.scale_back), own.scale.max(own.scale_back));
             self.is_sound(joint) && clear && (most < low || least > high)
@@ -273,9 +272,14 @@ impl<'a> Comparison<'a> {
         if off.is_empty() && unexplained == 0 {
             return None;
         }
+        let (low, high) = SOUND_SCALE;
+        let others = |own: usize| {
+            let mut others = self.heavy().filter(|joint| *joint != own);
+            others.all(|joint| (low..=high).contains(&self.own[joint].scale))
+        };
         payload().or_else(|| {
             Some(match (&off[..], unexplained) {
-                (&[joint], 0) if self.heavy().count() > 1 => format!(
+                (&[joint], 0) if self.heavy().count() > 1 && others(joint) => format!(
                     "torque of joint {} is {:.2} times the description's, those of the others are not: drive gain, unit, mass, or another arm?",
                     joint + 1,
                     self.own[joint].scale

@@ -302,14 +302,22 @@ pub(super) fn units(
     if let Some((number, (joint, seen))) = strong.first() {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
         // One unit holds for all joints; their limits may be of different use.
+        let weight = robot.weight_torques()[*number];
         let unit = match thousandth {
+            _ if weight > joint.limits.torque => &format!(
+                "below the {weight:.0} N·m of the arm's own weight: correct it (--torque-limits)"
+            ),
             _ if seen.strong <= FEW * seen.rows => WITHOUT_ROWS,
             true if currents => "are these mA (--units i=mA)?",
             true if strong.len() * 3 > extremes.len() => {
                 "is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?"
             }
-            true => "those of the others are within theirs; drive gain or unit?",
-            false => "drive gain, unit, or another arm?",
+            true => {
+                "those of the others are nearer to theirs; drive gain, unit, or a limit of the description (--torque-limits)?"
+            }
+            false => {
+                "drive gain, unit, a limit of the description (--torque-limits), or another arm?"
+            }
         };
         let text = format!(
             "tau{} reaches {:.1} N·m at {:.3} s, its limit is {} N·m: {unit}",
