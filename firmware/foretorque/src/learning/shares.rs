@@ -54,11 +54,48 @@ fn blend(from: &[f32], values: &mut [f32], share: f32) {
 const SIGNIFICANCE: f32 = 2.0;
 /// Residual of both sets, standard deviations, beyond which a row counts less: an outlier fits neither.
 const CLIP: f32 = 6.0;
-/// Largest growth of a velocity range by one row, rad/s: one encoder error is no motion.
+/// Largest growth of a range by one row, rad/s or of the torque limit: one encoder error is no motion.
 const RANGE_STEP: f32 = 0.02;
 /// Torques are reversed from minus this correlation with those of the loaded set on: a set that has next to none of the torque
 /// correlates with it by chance.
 const REVERSED: f32 = 0.1;
+
+/// Sums and ranges of one joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct JointEvidence {
+    /// Σ d r
+    cross: f32,
+    /// Σ d²
+    power: f32,
+    rows: u32,
+    /// Range of the velocity, negative and positive, rad/s.
+    velocity: [f32; 2],
+    /// Range of the torque of the loaded set.
+    load: [f32; 2],
+}
+
+impl JointEvidence {
+    const NONE: Self = Self {
+        cross: 0.0,
+        power: 0.0,
+        rows: 0,
+        velocity: [0.0; 2],
+        load: [0.0; 2],
+    };
+}
+
+/// Widens a range to `value`, by a step at most; its old size over the new one on that side.
+#[inline(never)]
+fn widen([negative, positive]: &mut [f32; 2], value: f32) -> f32 {
+    let widest = if value < 0.0 { negative } else { positive };
+    let (known, size) = (*widest, value.abs());
+    if size <= known {
+        return 1.0;
+    }
+    let most = known + RANGE_STEP;
+    *widest = if size < most { size } else { most };
+    known / *widest
+}
 
 /// Evidence for the shares: sums over rows before they are learnt, faded.
 ///
@@ -73,16 +110,14 @@ const REVERSED: f32 = 0.1;
 /// * rows with a large change weigh most, so a share falls fast where the estimate is wrong
 /// * a row counts in proportion to the rows of its joint before it, until the memory is full: an estimate of few rows is another one, and
 ///   its large errors are no evidence on the present one (polynomial-decay averaging [Shamir and Zhang 2013], η = 1)
-/// * the sums of a joint fade as its velocity range grows, by old over new: what slow motion or one direction has shown is no
-///   evidence on faster motion or the other direction
+/// * the sums of a joint fade as its ranges of velocity and of loaded torque grow, by old over new: what slow motion, one direction
+///   or one side of gravity has shown is no evidence on the rest. An error of a drive's gain is an offset on one side, and makes
+///   the torque worse on the other
 ///
 /// Torques in units of the torque limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ShareEvidence<const N: usize> {
-    /// Σ d r, Σ d² and rows of each joint.
-    joints: [(f32, f32, u32); N],
-    /// Velocity range of each joint, backwards and forwards, rad/s.
-    range: [[f32; 2]; N],
+    joints: [JointEvidence; N],
     /// Σ (1 − c) y m + c (y + m)²/2 over all joints, of measured torque y and torque m of the loaded set: negative only where
     /// their correlation is below −c, and neither is far larger than the other.
     agreement: f32,
@@ -91,8 +126,7 @@ pub(super) struct ShareEvidence<const N: usize> {
 impl<const N: usize> ShareEvidence<N> {
     /// Evidence without rows.
     pub(super) const NONE: Self = Self {
-        joints: [(0.0, 0.0, 0); N],
-        range: [[0.0; 2]; N],
+        joints: [JointEvidence::NONE; N],
         agreement: 0.0,
     };
 
@@ -108,9 +142,7 @@ impl<const N: usize> ShareEvidence<N> {
         sigma: f32,
         fade: f32,
     ) {
-        let (Some((cross, power, rows)), Some([backward, forward])) =
-            (self.joints.get_mut(joint), self.range.get_mut(joint))
-        else {
+        let Some(own) = self.joints.get_mut(joint) else {
             return;
         };
         let change = measured - loaded - residual;
@@ -121,15 +153,11 @@ impl<const N: usize> ShareEvidence<N> {
         if !(product + measured * loaded + qd).is_finite() {
             return;
         }
-        let widest = if qd < 0.0 { backward } else { forward };
-        let known = *widest;
-        *widest += (qd.abs() - known).clamp(0.0, RANGE_STEP);
-        let grown = *widest > known;
-        let growth = if grown { known / *widest } else { 1.0 };
-        let young = fade.min(*rows as f32 / (*rows as f32 + 1.0));
-        *cross = young * growth * *cross + product;
-        *power = young * growth * *power + weight * change * change;
-        *rows = rows.saturating_add(1);
+        let growth = widen(&mut own.velocity, qd) * widen(&mut own.load, loaded);
+        let kept = fade.min(own.rows as f32 / (own.rows as f32 + 1.0)) * growth;
+        own.cross = kept * own.cross + product;
+        own.power = kept * own.power + weight * change * change;
+        own.rows = own.rows.saturating_add(1);
         // As long a memory, over the rows of all joints.
         let both = measured + loaded;
         let agrees = (1.0 - REVERSED) * measured * loaded + 0.5 * REVERSED * both * both;
@@ -139,7 +167,7 @@ impl<const N: usize> ShareEvidence<N> {
     /// Number of rows of all joints.
     #[inline(never)]
     pub(super) fn rows(&self) -> u32 {
-        let rows = self.joints.iter().map(|(_, _, rows)| *rows);
+        let rows = self.joints.iter().map(|own| own.rows);
         rows.fold(0, u32::saturating_add)
     }
 
@@ -152,10 +180,12 @@ impl<const N: usize> ShareEvidence<N> {
     ///
     /// * `variance` ρ σ² of the measurement
     pub(super) fn share(&self, joint: usize, variance: f32) -> f32 {
-        let (cross, power, _) = self.joints.get(joint).copied().unwrap_or_default();
+        let Some(JointEvidence { cross, power, .. }) = self.joints.get(joint) else {
+            return 0.0;
+        };
         let share = (cross - SIGNIFICANCE * SIGNIFICANCE * variance * power / cross) / power;
         // A comparison with a not-a-number is false. Both terms change their sign with the cross product.
-        match cross > 0.0 && share > 0.0 && !self.is_reversed() {
+        match *cross > 0.0 && share > 0.0 && !self.is_reversed() {
             true if share < 1.0 => share,
             true => 1.0,
             false => 0.0,
@@ -165,9 +195,9 @@ impl<const N: usize> ShareEvidence<N> {
     /// Share of a single set: the mean of `shares`, weighted by the squares of the changes.
     pub(super) fn common(&self, shares: &[f32; N]) -> f32 {
         let (mut sum, mut weight) = (0.0, 0.0);
-        for ((_, power, _), share) in self.joints.iter().zip(shares) {
-            sum += power * share;
-            weight += power;
+        for (own, share) in self.joints.iter().zip(shares) {
+            sum += own.power * share;
+            weight += own.power;
         }
         let mean = sum / weight;
         // Rounding must not leave the range of the shares.
@@ -213,26 +243,30 @@ mod tests {
     }
 
     #[test]
-    fn slow_motion_in_one_direction_is_no_evidence_on_faster_motion_or_the_other_direction() {
-        // Right for long, then wrong for 170 rows at another velocity.
-        let share_at = |qd: f32| {
+    fn slow_motion_in_one_direction_on_one_side_of_gravity_is_no_evidence_on_the_rest() {
+        // Right for long, then wrong for 170 rows at another velocity, or under another load.
+        let share_at = |qd: f32, loaded: f32| {
             let mut evidence = none();
             after(&mut evidence, 4000, 0.1, 0.1);
             for _ in 0..170 {
-                evidence.add_row(0, qd, [0.3, 0.3, -0.1], SIGMA, FADE);
+                evidence.add_row(0, qd, [loaded, loaded, -0.1], SIGMA, FADE);
             }
             evidence.share(0, NOISE)
         };
-        let [same, faster, back] = [QD, 8.0 * QD, -QD].map(share_at);
+        let [same, faster, back] = [QD, 8.0 * QD, -QD].map(|qd| share_at(qd, 0.3));
+        let [light, heavy, other_side] = [0.1, 0.9, -0.3].map(|loaded| share_at(QD, loaded));
+        assert_eq!(light, same);
+        assert!(heavy < 0.7 && other_side < 0.05, "{heavy} {other_side}");
         let falls = same > 0.75 && faster < 0.4 && back < 0.05;
         assert!(falls, "{same} {faster} {back}");
         // One error of an encoder costs a part of the evidence only.
         let mut evidence = ShareEvidence::<2>::NONE;
-        evidence.range[0] = [0.5; 2];
+        evidence.joints[0].velocity = [0.5; 2];
+        evidence.joints[0].load = [0.5; 2];
         after(&mut evidence, 4000, 0.1, 0.1);
-        let (_, before, _) = evidence.joints[0];
+        let before = evidence.joints[0].power;
         evidence.add_row(0, 1e6, [0.3, 0.3, 0.0], SIGMA, FADE);
-        assert!(evidence.joints[0].1 > 0.95 * before);
+        assert!(evidence.joints[0].power > 0.95 * before);
     }
 
     #[test]
