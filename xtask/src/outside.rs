@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail, ensure};
 
 use crate::setup::{self, Way};
-use crate::shell::{self, PROFILE, TARGET, Toolchain, Tools, capture, command};
+use crate::shell::{self, PROFILE, TARGET, Toolchain, Tools, capture, command, run_bounded};
 
 /// Manifest of a user's crate with its own arm and critical section.
 const OWN_ARM: &str = "firmware/foretorque/examples/own_arm/Cargo.toml";
@@ -22,13 +22,17 @@ const MOST_CRATES: usize = 30;
 /// Parts of the names of crates that belong to a board or an executor.
 const FOREIGN: [&str; 4] = ["cortex-m", "stm32", "rtic", "embassy"];
 
-/// Links both crates for [`TARGET`], the first one for [`OTHER_TARGET`] too where its core is installed; counts its crates
-/// and packages the publishable ones.
+/// Links both crates for [`TARGET`], the first one for [`OTHER_TARGET`] too where rustup has or brings its core; counts its
+/// crates and packages the publishable ones.
 pub(crate) fn gate(tools: Tools) -> Result<()> {
     for (manifest, target) in [(OWN_ARM, TARGET), (OWN_ARM, OTHER_TARGET), (RTIC, TARGET)] {
         if target != TARGET && !installed(tools.board, target)? {
-            println!("skipped for {target}: `rustup target add {target}` installs its core");
-            continue;
+            let asked = run_bounded(&["rustup", "target", "add", target], setup::RUSTUP_LIMIT_S);
+            if !installed(tools.board, target)? {
+                let reason = asked.map_or_else(|error| error.to_string(), |()| String::new());
+                println!("skipped for {target}, whose core is not installed: {reason}");
+                continue;
+            }
         }
         let mut build = tools.board.tool("cargo");
         build.args(["build", "--release", "--locked", "--target", target]);

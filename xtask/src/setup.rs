@@ -14,7 +14,7 @@ use crate::shell::{
 };
 
 /// Bound on rustup if other ways are left, and if it is the only one.
-const RUSTUP_LIMIT_S: u32 = 60;
+pub(crate) const RUSTUP_LIMIT_S: u32 = 60;
 const RUSTUP_LIMIT_FORCED_S: u32 = 600;
 
 /// A way to a toolchain that builds for the board.

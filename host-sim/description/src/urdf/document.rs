@@ -350,21 +350,17 @@ mod tests {
 
     #[test]
     fn right_angles_are_known_by_their_decimals_and_no_other_angle_is_one() {
-        let right = [1.57, 1.571, 1.5707, -1.5708, 1.57079632, 1.570796326];
-        for angle in right {
-            assert_eq!(squared(angle), FRAC_PI_2.copysign(angle), "{angle}");
-        }
-        for (angle, meant) in [
-            (3.14, PI),
-            (3.141, PI),
-            (3.142, PI),
-            (-4.71, -3.0 * FRAC_PI_2),
+        for (written, meant) in [
+            ("1.57 1.571 1.5707 1.5708 1.57079632", FRAC_PI_2),
+            ("3.14 3.141 3.142 3.1416", PI),
+            ("-4.71 -4.712", -3.0 * FRAC_PI_2),
         ] {
-            assert_eq!(squared(angle), meant, "{angle}");
+            for angle in written.split(' ') {
+                assert_eq!(squared(angle.parse().unwrap()), meant, "{angle}");
+            }
         }
-        for angle in [
-            0.0, 1.6, 1.58, 1.572, 1.5709, 1.5702, 3.15, 0.01, 0.001, 0.785, 1.5705963,
-        ] {
+        for angle in "0 1.6 1.58 1.572 1.5709 1.5702 1.5705963 3.15 0.01 0.001 0.785".split(' ') {
+            let angle = angle.parse().unwrap();
             assert_eq!(squared(angle), angle);
         }
     }

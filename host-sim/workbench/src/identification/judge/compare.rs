@@ -258,6 +258,11 @@ impl<'a> Comparison<'a> {
 
     /// Gravity of another size than described, by a body at the flange, in one joint or in several.
     fn gravity(&self, payload: &dyn Fn() -> Option<String>) -> Option<String> {
+        let (low, high) = SOUND_SCALE;
+        let others = |own: usize| {
+            let mut others = self.heavy().filter(|joint| *joint != own);
+            others.all(|joint| (low..=high).contains(&self.own[joint].scale))
+        };
         let off = self.heavy().filter(|&joint| {
             let own = &self.own[joint];
             let clear = own.deviation * DEVIATIONS < (own.scale - 1.0).abs();
@@ -272,11 +277,6 @@ impl<'a> Comparison<'a> {
         if off.is_empty() && unexplained == 0 {
             return None;
         }
-        let (low, high) = SOUND_SCALE;
-        let others = |own: usize| {
-            let mut others = self.heavy().filter(|joint| *joint != own);
-            others.all(|joint| (low..=high).contains(&self.own[joint].scale))
-        };
         payload().or_else(|| {
             Some(match (&off[..], unexplained) {
                 (&[joint], 0) if self.heavy().count() > 1 && others(joint) => format!(
