@@ -459,8 +459,9 @@ mod tests {
         robot.joints[2].limits.torque = 0.5;
         let message = adapted(&robot).0.expect_err("too weak").to_string();
         assert!(
-            message.contains("its limit is 1 N·m; ")
-                && message.ends_with("its limit is 0.5 N·m: correct it with --torque-limits"),
+            message.contains("its limit is 1 N·m and leaves 0.")
+                && message.contains("its limit is 0.5 N·m and leaves 0.")
+                && message.ends_with(" N·m for the motion: correct it with --torque-limits"),
             "{message}"
         );
         for joint in &robot.joints[1..3] {
