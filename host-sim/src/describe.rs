@@ -4,6 +4,7 @@ use super::arm::ArmOptions;
 use super::terminal::show;
 use super::{Failure, not_over};
 use clap::{Args, ValueEnum};
+use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::generate::write_arm_module;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::urdf;
@@ -42,7 +43,7 @@ impl Describe {
                 "rotor inertia of joints {unknown:?} not known: 0 in the firmware, torque limit / 200 rad/s² in a simulated arm"
             ));
         }
-        let weights = robot.weight_torques();
+        let weights = RigidBodies::new(&robot).largest_gravity_torques();
         for (joint, weight) in robot.joints.iter().zip(weights.iter()) {
             let (name, limit) = (&joint.name, joint.limits.torque);
             if *weight > limit {

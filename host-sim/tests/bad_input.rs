@@ -279,9 +279,9 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
 }
 
 /// Ends the emulator of a test that failed, which nothing else would.
-struct Reaped(i32);
+struct KillOnDrop(i32);
 
-impl Drop for Reaped {
+impl Drop for KillOnDrop {
     fn drop(&mut self) {
         if std::thread::panicking() && runs(self.0) {
             let _ = kill(Pid::from_raw(self.0), Signal::SIGKILL);
@@ -323,7 +323,7 @@ fn an_emulator_ends_with_the_program_however_that_ends() {
             files.next().map(drop)
         });
         let emulator = soon("the emulator runs", || child_of(program.id(), 0));
-        let _reaped = Reaped(emulator);
+        let _guard = KillOnDrop(emulator);
         assert!(runs(emulator));
         kill(Pid::from_raw(program.id().cast_signed()), end).expect("it is ours");
         let status = program.wait().expect("it is ours");

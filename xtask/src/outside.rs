@@ -27,10 +27,12 @@ const FOREIGN: [&str; 4] = ["cortex-m", "stm32", "rtic", "embassy"];
 pub(crate) fn gate(tools: Tools) -> Result<()> {
     for (manifest, target) in [(OWN_ARM, TARGET), (OWN_ARM, OTHER_TARGET), (RTIC, TARGET)] {
         if target != TARGET && !installed(tools.board, target)? {
-            let asked = run_bounded(&["rustup", "target", "add", target], setup::RUSTUP_LIMIT_S);
+            let add = ["rustup", "target", "add", target];
+            if let Err(reason) = run_bounded(&add, setup::RUSTUP_LIMIT_S) {
+                println!("{reason}");
+            }
             if !installed(tools.board, target)? {
-                let reason = asked.map_or_else(|error| error.to_string(), |()| String::new());
-                println!("skipped for {target}, whose core is not installed: {reason}");
+                println!("skipped for {target}: its core is not installed");
                 continue;
             }
         }

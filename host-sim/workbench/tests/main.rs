@@ -46,11 +46,11 @@ fn a_board_for_another_robot_is_turned_away() {
 }
 
 /// A board that answers everything with the same bytes, or is dead.
-struct Canned(Option<Vec<u8>>, VecDeque<u8>);
+struct FixedAnswer(Option<Vec<u8>>, VecDeque<u8>);
 
-impl Transport for Canned {
+impl Transport for FixedAnswer {
     fn name(&self) -> String {
-        "canned".into()
+        "answer".into()
     }
 
     fn send(&mut self, _: &[u8]) -> io::Result<()> {
@@ -82,8 +82,8 @@ fn foreign_silent_and_dead_boards_are_told_apart() {
     frame.push(0);
     assert!(!crc.to_le_bytes().contains(&0), "made by hand");
     let connect = |bytes| {
-        let canned = Box::new(Canned(bytes, VecDeque::new()));
-        Client::<N>::connect::<Ur5, P>(canned, BOOT).err().unwrap()
+        let answer = Box::new(FixedAnswer(bytes, VecDeque::new()));
+        Client::<N>::connect::<Ur5, P>(answer, BOOT).err().unwrap()
     };
     let foreign = connect(Some(frame)).to_string();
     let versions = format!("protocol version 9, this program version {PROTOCOL_VERSION}");

@@ -1,10 +1,8 @@
 //! Base parameters: the identifiable combinations of the standard parameters.
 
-use super::{Motion, PerJoint, RigidBodies};
+use super::{RigidBodies, random_motions};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use nalgebra::{DMatrix, DVector};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Random states behind the rank decision; each gives N equations, 4 times as many as there are unknowns.
 pub const STATES: usize = 44;
@@ -106,20 +104,6 @@ pub fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
 }
 
 impl Robot {
-    /// Largest torque of the arm's own weight in each joint over random poses, N·m.
-    pub fn weight_torques(&self) -> PerJoint<f64> {
-        let bodies = RigidBodies::new(self);
-        let poses = random_motions(self.joint_count(), STATES);
-        let mut most = PerJoint::repeat(self.joint_count(), 0.0_f64);
-        for pose in poses {
-            let torques = bodies.gravity_torques(&pose.q);
-            for (most, torque) in most.iter_mut().zip(torques.iter()) {
-                *most = most.max(torque.abs());
-            }
-        }
-        most
-    }
-
     /// Map from the standard parameters of this robot to its base parameters.
     pub fn base_map(&self) -> BaseMap {
         BaseMap::of(self).expect("columns are taken only if they are independent")
@@ -138,16 +122,4 @@ fn stacked_regressor(bodies: &RigidBodies) -> DMatrix<f64> {
         bodies.regressor_into(motion, &mut w, k * joints);
     }
     w
-}
-
-/// Seeded motions of so many joints at which inertia, velocity and gravity terms weigh alike.
-pub fn random_motions(joints: usize, count: usize) -> Vec<Motion> {
-    let mut random = ChaCha8Rng::seed_from_u64(1);
-    let mut draw = |size: f64| PerJoint::from_fn(joints, |_| random.random_range(-size..=size));
-    let motions = (0..count).map(|_| Motion {
-        q: draw(std::f64::consts::PI),
-        qd: draw(3.0),
-        qdd: draw(10.0),
-    });
-    motions.collect()
 }

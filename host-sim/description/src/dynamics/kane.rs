@@ -2,6 +2,8 @@
 
 use crate::robot::{Coupling, LINK_PARAMETERS, Link, MAX_JOINTS, Placement, Robot};
 use nalgebra::{DMatrix, DMatrixViewMut, Matrix3, Rotation3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::ops::{Deref, DerefMut};
 
 /// One link: where its joint sits and how its mass is distributed.
@@ -81,6 +83,19 @@ impl RigidBodies {
         let mut motion = Motion::zeros(q.len());
         motion.q = q.into();
         self.project(&self.kinematics(&motion))
+    }
+
+    /// Largest gravity torque of each joint over 64 seeded poses, N·m.
+    pub fn largest_gravity_torques(&self) -> PerJoint<f64> {
+        const POSES: usize = 64;
+        let mut largest = PerJoint::repeat(self.joints(), 0.0_f64);
+        for pose in random_motions(self.joints(), POSES) {
+            let torques = self.gravity_torques(&pose.q);
+            for (largest, torque) in largest.iter_mut().zip(torques.iter()) {
+                *largest = largest.max(torque.abs());
+            }
+        }
+        largest
     }
 
     /// M(q), symmetric and row by row, and h(q, qd), without accelerations in `motion`.
@@ -352,4 +367,16 @@ impl<T: PartialEq> PartialEq for PerJoint<T> {
     fn eq(&self, other: &Self) -> bool {
         **self == **other
     }
+}
+
+/// Seeded motions of so many joints at which inertia, velocity and gravity terms weigh alike.
+pub fn random_motions(joints: usize, count: usize) -> Vec<Motion> {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut draw = |size: f64| PerJoint::from_fn(joints, |_| random.random_range(-size..=size));
+    let motions = (0..count).map(|_| Motion {
+        q: draw(std::f64::consts::PI),
+        qd: draw(3.0),
+        qdd: draw(10.0),
+    });
+    motions.collect()
 }

@@ -188,24 +188,10 @@ pub struct Layout {
     precision: Vec<f64>,
 }
 
-/// Joints that gravity moves in some position: no upright axis, and no link turned about its centre of mass.
-fn feels_gravity(model: &RigidBodies) -> PerJoint<bool> {
-    const LEAST_NM: f64 = 1e-9;
-    let joints = model.joints();
-    let mut feels = PerJoint::repeat(joints, false);
-    for position in 0..4 * joints {
-        let q = PerJoint::from_fn(joints, |joint| 1.0 + (position * (joint + 2)) as f64);
-        let torques = model.gravity_torques(&q);
-        for (feels, torque) in feels.iter_mut().zip(torques.iter()) {
-            *feels |= torque.abs() > LEAST_NM;
-        }
-    }
-    feels
-}
-
 impl Layout {
     /// The layout for a robot.
     pub fn new(robot: &Robot, set: &ColumnSet) -> Self {
+        const LEAST_NM: f64 = 1e-9;
         const SYMBOLS: [&str; LINK_PARAMETERS] = [
             "m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz",
         ];
@@ -241,7 +227,7 @@ impl Layout {
                 friction: None,
             });
         }
-        let feels = feels_gravity(&model);
+        let gravity = model.largest_gravity_torques();
         // A column that is always zero drops out: load of an upright axis, cogging of a drive without cycles.
         let cogging = PerJoint::from_fn(joints, |joint| {
             robot.joints[joint].friction.cogging_cycles_rev
@@ -250,7 +236,7 @@ impl Layout {
         for (joint, active) in active.iter_mut().enumerate() {
             let mut shown = set.0.clone();
             shown.retain(|&term| match term {
-                LOAD => feels[joint],
+                LOAD => gravity[joint] > LEAST_NM,
                 Board(column) => cogging[joint] > 0.0 || !COGGING_COLUMNS.contains(&column),
                 _ => true,
             });

@@ -12,8 +12,6 @@ mod bus;
 #[cfg(target_os = "none")]
 mod commands;
 #[cfg(target_os = "none")]
-mod rows;
-#[cfg(target_os = "none")]
 mod run;
 #[cfg(target_os = "none")]
 mod stage;

@@ -10,8 +10,7 @@ use stm32f4xx_hal::pac::TIM2;
 
 use crate::bus::Bus;
 use crate::commands::Link;
-use crate::rows;
-use crate::stage::{LINKS, Paper, Parts, Stage};
+use crate::stage::{ARM_ROWS, LINK_ROWS, LINKS, Paper, Parts, Row, Stage, feedforward_step};
 
 /// Calls of each row when the command line names no number.
 const CALLS: u32 = 64;
@@ -44,8 +43,8 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
         .each_mut()
         .map(|place| Bus::init(place).expect("a bus of the UR5"));
     let mut paper = cortex_m::singleton!(: Paper = Paper::zeros())?;
-    let links: &[_] = if LINKS > 0 { rows::LINK_ROWS } else { &[] };
-    for row in rows::ARM_ROWS.iter().chain(links) {
+    let links: &[_] = if LINKS > 0 { LINK_ROWS } else { &[] };
+    for row in ARM_ROWS.iter().chain(links) {
         (learner, link, bus, paper) = count_row(row, calls, (learner, link, bus, paper))?;
     }
     if ticks > 0 {
@@ -57,7 +56,7 @@ fn run(calls: u32, ticks: u32) -> Option<()> {
 /// Counts the calls of a row from a new stage, so that a row added or removed does not move the others. A function of its
 /// own: the stack has no room for two stages.
 #[inline(never)]
-fn count_row(row: &rows::Row, calls: u32, parts: Parts) -> Option<Parts> {
+fn count_row(row: &Row, calls: u32, parts: Parts) -> Option<Parts> {
     let mut place = Stage::new(parts);
     let stage = place.as_mut()?;
     stage.warm_up();
@@ -96,7 +95,7 @@ fn count_long_run(ticks: u32, parts: Parts) -> Option<()> {
             stage.sample.measured = None;
         }
         stage.feedforward.adopt(&mut stage.exchange);
-        let counted = count(rows::feedforward_step, stage);
+        let counted = count(feedforward_step, stage);
         least = least.min(counted);
         sum += u64::from(counted);
         most = most.max(counted);

@@ -282,6 +282,14 @@ mod tests {
         let text = found(4.0).expect("a change");
         assert!(text.contains("joint 3 changes by 4.0"), "{text}");
         assert!(text.contains("at 12.0 s"), "{text}");
+        // The gain of a drive, while its torque grows along the log.
+        let torque = |row: &SampleRow, joint: usize| {
+            let gain = if joint == 2 { 1.1 } else { 1.0 };
+            gain * row.linear(&layout, &theta, joint)
+        };
+        let mut rows = random_rows(&layout, 2000, 1, [2.0, 1.0, 3.0], 1.0, torque);
+        rows.sort_by(|a, b| a.tau[2].total_cmp(&b.tau[2]));
+        assert_eq!(change(&layout, &rows, &Candidate::Linear(theta)), None);
     }
 
     #[test]

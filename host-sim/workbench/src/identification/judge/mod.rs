@@ -8,6 +8,7 @@ mod delay;
 mod explained;
 mod fitted;
 mod ranges;
+mod readings;
 
 pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, change, description};
@@ -23,10 +24,10 @@ use crate::dynamics::{Motion, PerJoint};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use compare::{Fits, compare};
 use delay::{Delay, delay, fast_rows};
-use explained::at_rate;
 use fitted::payload;
 use nalgebra::DMatrix;
 use ranges::{Extremes, scan, units};
+use readings::at_rate;
 use serde::Serialize;
 use std::path::PathBuf;
 

@@ -2,6 +2,7 @@
 //! off or stuck.
 
 use super::{Judgement, MOVED};
+use crate::dynamics::RigidBodies;
 use crate::identification::IdentifyError;
 use crate::identification::clock::GAP_PERIODS;
 use crate::identification::log::{LogRow, Roughness, SWAPPED, WITHOUT_ROWS};
@@ -302,7 +303,7 @@ pub(super) fn units(
     if let Some((number, (joint, seen))) = strong.first() {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
         // One unit holds for all joints; their limits may be of different use.
-        let weight = robot.weight_torques()[*number];
+        let weight = RigidBodies::new(robot).largest_gravity_torques()[*number];
         let unit = match thousandth {
             _ if weight > joint.limits.torque => &format!(
                 "below the {weight:.0} N·m of the arm's own weight: correct it (--torque-limits)"
