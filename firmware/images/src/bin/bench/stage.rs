@@ -12,7 +12,7 @@ use foretorque::feedforward::{FeedForward, FeedForwardConfig};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, LearnerConfig, LearningSample, ParameterSet, network_inputs};
 use foretorque::limits::Flags;
-use foretorque::math::{self, SinCos, sin_cos};
+use foretorque::math::{self, SinCos};
 use foretorque::network::{BpNetwork, StepParameters};
 use foretorque_f405::arm::{Arm, JOINTS, Learner, PARAMETERS};
 use foretorque_test_arms::ur5_calibrated::{self, Ur5Calibrated};
@@ -273,7 +273,7 @@ fn wave(tick: u32) -> JointMotion<JOINTS> {
     let mut motion = JointMotion::zero();
     for joint in 0..JOINTS {
         let omega = 1.5 + 0.2 * joint as f32;
-        let SinCos { sin, cos } = sin_cos(omega * time + joint as f32);
+        let SinCos { sin, cos } = math::sin_cos(omega * time + joint as f32);
         motion.q[joint] = sin;
         motion.qd[joint] = omega * cos;
         motion.qdd[joint] = -omega * omega * sin;
