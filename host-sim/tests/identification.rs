@@ -329,6 +329,23 @@ fn a_gap_splits_the_log_and_is_noted() {
 }
 
 #[test]
+fn an_arm_with_calibrated_angles_is_identified() {
+    let here = directory("identify-calibrated");
+    let file = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../tests/data/ur5_calibrated.toml"
+    );
+    let robot = Robot::load(file).expect("in the tree");
+    log_of(&robot, &here.join("log.csv"), 4000, 0.0, None, 0.1);
+    log_of(&robot, &here.join("other.csv"), 2000, 0.4, None, 0.1);
+    let logs = "--log log.csv --validate other.csv --methods wls --out out";
+    succeeds(&here, &format!("identify --robot {file} {logs}"));
+    let report = json(here.join("out/report.json"));
+    let error = &report["methods"]["wls"]["validation"]["other.csv"]["joints_nrmse_moving_ratio"];
+    assert!(number(error) < 0.02, "{error}");
+}
+
+#[test]
 fn drives_that_turn_two_joints_are_identified() {
     let here = directory("identify-coupled");
     let drive = |name: &str| {

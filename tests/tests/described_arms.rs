@@ -313,7 +313,7 @@ fn shipped_arms_are_as_generated_from_their_descriptions() {
 fn an_arm_and_its_description_have_the_same_identity() {
     each_arm!(identity_is_that_of_its_description);
     identity_is_that_of_its_description::<Oblique, 4, 27>();
-    identity_is_that_of_its_description::<Ur5Calibrated, 6, 41>();
+    identity_is_that_of_its_description::<Ur5Calibrated, 6, 40>();
 }
 
 #[test]

@@ -55,7 +55,7 @@ impl Row {
                 traced.instructions
             );
         }
-        let function = image.function(&format!("rows::{name}"));
+        let function = image.function(&format!("stage::{name}"));
         let function = function.context("a row without a function")?;
         let stack_bytes = firmware::bounded_depth(image, function.code.start)?.bytes;
         let stack_seen = calls.iter().map(|call| call.stack_bytes).max().unwrap_or(0);

@@ -28,7 +28,7 @@ pub(crate) fn follow(
     let mut starts = HashMap::new();
     for (row, name) in rows.iter().enumerate() {
         let function = image
-            .function(&format!("rows::{name}"))
+            .function(&format!("stage::{name}"))
             .with_context(|| format!("the ELF has no function for row `{name}`"))?;
         starts.insert(function.code.start, row);
     }

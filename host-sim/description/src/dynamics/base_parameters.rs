@@ -7,9 +7,15 @@ use nalgebra::{DMatrix, DVector};
 /// Random states behind the rank decision; each gives N equations, 4 times as many as there are unknowns.
 pub const STATES: usize = 44;
 
-/// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Dependent
-/// columns leave about 1e-15 here, independent ones above 1e-3 (UR5).
-const INDEPENDENT: f64 = 1e-9;
+/// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Independent
+/// columns leave above 0.5, dependent ones about 1e-15, or 1e-6 to 1e-2 where calibrated angles, a few mrad off a right
+/// angle, take the place of exact ones: no log shows such a column, and to merge it costs less than this share of its
+/// torque.
+const INDEPENDENT: f64 = 1e-2;
+
+/// A column counts as zero when its length is below this share of the largest entry: it still has the rounding of the
+/// right angles in it.
+const ROUNDING: f64 = 1e-9;
 
 /// Weights are products of lengths and direction cosines; what stands behind this digit is rounding of the solution.
 /// Cutting it off makes the map the same on every machine.
@@ -80,7 +86,6 @@ impl BaseMap {
 pub fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
     let mut basis: Vec<DVector<f64>> = Vec::new();
     let mut columns = Vec::new();
-    // A column that is zero in exact arithmetic still has the rounding of the right angles in it.
     let scale = w.amax();
     let mut coefficients = DMatrix::<f64>::zeros(w.ncols(), w.ncols());
     for c in 0..w.ncols() {
@@ -94,7 +99,7 @@ pub fn independent_columns(w: &DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
             }
         }
         let new = rest.norm();
-        if length > INDEPENDENT * scale && new > INDEPENDENT * length {
+        if length > ROUNDING * scale && new > INDEPENDENT * length {
             coefficients[(basis.len(), c)] = new;
             columns.push(c);
             basis.push(rest / new);
