@@ -150,7 +150,8 @@ fn images(tools: Tools) -> Vec<Gate> {
         runs("firmware", firmware),
         gate("linked firmware", || {
             let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-            cost::check_firmware(&shell::elf_dir(), &names)
+            cost::check_firmware(&shell::elf_dir(), &names)?;
+            cost::check_bench(&shell::elf_dir(), &shell::root())
         }),
         gate("library for C", move || {
             outside::bring_compiler()?;

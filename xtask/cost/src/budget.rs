@@ -179,6 +179,12 @@ impl Budget {
         lines.map(sentence).collect()
     }
 
+    /// Names of the rows of the bench program.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = &str> {
+        let lines = self.lines.iter();
+        lines.filter_map(|line| line.quantity.strip_suffix(", instructions"))
+    }
+
     pub(crate) fn line(&self, quantity: &str) -> Option<&Line> {
         self.lines.iter().find(|line| line.quantity == quantity)
     }

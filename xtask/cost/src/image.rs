@@ -116,6 +116,12 @@ impl Image {
             .then_some(first)
     }
 
+    /// The function of a row of the bench program.
+    pub(crate) fn row(&self, name: &str) -> Result<&Function> {
+        self.function(&format!("stage::{name}"))
+            .with_context(|| format!("the ELF has no function for row `{name}`"))
+    }
+
     /// Every function once, whatever its names.
     pub(crate) fn distinct_functions(&self) -> impl Iterator<Item = &Function> {
         let mut before = None;

@@ -30,6 +30,9 @@ pub const DRIVE: &str = "joint-drive";
 /// The one on a drive bus: all codecs more.
 pub const CAN: &str = "joint-can";
 
+/// The program that measures rows.
+const BENCH: &str = "bench";
+
 /// The row whose calls are commands of the link, and a tenth of a tick of 1 ms at 168 MHz, cycles.
 const COMMAND: &str = "command";
 const COMMAND_CYCLES: u64 = 16_800;
@@ -49,7 +52,7 @@ pub fn bench(
     toolchain: &str,
     accept: bool,
 ) -> Result<()> {
-    let (rows, spread) = row::measure(&elf_dir.join("bench"))?;
+    let (rows, spread) = row::measure(&elf_dir.join(BENCH))?;
     let joint = Image::read(&elf_dir.join(JOINT))?;
     let reached = firmware::check(&joint)?;
     let memory = Memory::of(&joint)?;
@@ -105,6 +108,13 @@ pub fn check_firmware(elf_dir: &Path, names: &[&str]) -> Result<()> {
     names.try_for_each(|name| firmware(elf_dir, name).map(|_| ()))
 }
 
+/// Check that the bench program in `elf_dir` has every row of the budget below `root`.
+pub fn check_bench(elf_dir: &Path, root: &Path) -> Result<()> {
+    let bench = Image::read(&elf_dir.join(BENCH))?;
+    let budget = Budget::read(root)?;
+    budget.rows().try_for_each(|row| bench.row(row).map(|_| ()))
+}
+
 /// Bytes of flash and of static RAM of any firmware.
 pub fn sizes(elf: &Path) -> Result<(u32, u32)> {
     let image = Image::read(elf)?;
@@ -140,7 +150,7 @@ const STEPS: [&str; 2] = ["feedforward_step", "learning_step"];
 impl Arm {
     /// Measures the ELF files `bench` and `joint` in `elf_dir`.
     fn measure(joints: usize, elf_dir: &Path) -> Result<Self> {
-        let (rows, _) = row::measure(&elf_dir.join("bench"))?;
+        let (rows, _) = row::measure(&elf_dir.join(BENCH))?;
         let mut cycles = [0; 2];
         for (cycles, name) in cycles.iter_mut().zip(STEPS) {
             let row = rows.iter().find(|row| row.name == name);

@@ -55,9 +55,8 @@ impl Row {
                 traced.instructions
             );
         }
-        let function = image.function(&format!("stage::{name}"));
-        let function = function.context("a row without a function")?;
-        let stack_bytes = firmware::bounded_depth(image, function.code.start)?.bytes;
+        let start = image.row(name)?.code.start;
+        let stack_bytes = firmware::bounded_depth(image, start)?.bytes;
         let stack_seen = calls.iter().map(|call| call.stack_bytes).max().unwrap_or(0);
         ensure!(
             stack_seen <= stack_bytes,

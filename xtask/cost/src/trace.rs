@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::io::BufRead;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::image::Image;
 use crate::thumb::{Class, Flow, Instruction, LR, PC, Registers, SP};
@@ -27,10 +27,7 @@ pub(crate) fn follow(
 ) -> Result<Vec<Vec<Call>>> {
     let mut starts = HashMap::new();
     for (row, name) in rows.iter().enumerate() {
-        let function = image
-            .function(&format!("stage::{name}"))
-            .with_context(|| format!("the ELF has no function for row `{name}`"))?;
-        starts.insert(function.code.start, row);
+        starts.insert(image.row(name)?.code.start, row);
     }
     let mut follower = Follower {
         image,
