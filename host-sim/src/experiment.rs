@@ -145,7 +145,7 @@ struct Learning {
     /// List arms and scenarios
     #[arg(long)]
     list: bool,
-    /// Only the arms and scenarios whose names begin so; either may be left out: panda/slow, panda, /slow
+    /// Only the arms and scenarios whose names begin so; either may be left out: panda/slow, panda, /slow, /slow-bank
     #[arg(long, value_name = "ARM/SCENARIO")]
     only: Option<String>,
     /// Arm in place of those of the list: a built-in name, or a TOML, URDF or MJCF file

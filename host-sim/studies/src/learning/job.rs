@@ -96,7 +96,7 @@ impl<const N: usize> Bench<N> {
         root_mean(squares)
     }
 
-    /// All scenarios of this arm whose names begin with `only`.
+    /// All runs of this arm whose names begin with `only`.
     pub(super) fn scenarios<A: Arm<N, P>, const P: usize>(
         &self,
         config: &LearningConfig,
@@ -106,8 +106,8 @@ impl<const N: usize> Bench<N> {
         let mut reports = Vec::new();
         let description = bank_of::<A, N, P>(&self.bare);
         let mut banks: Vec<(Source, ParameterBank)> = Vec::new();
-        for scenario in Scenario::all(config.quick).filter(|s| s.name.starts_with(only)) {
-            for &(start, source) in scenario.starts {
+        for scenario in Scenario::all(config.quick) {
+            for (name, start, source) in scenario.runs(only) {
                 let bank = match start {
                     Start::Description => description.clone(),
                     Start::Bank => match banks.iter().find(|(known, _)| *known == source) {
@@ -120,10 +120,9 @@ impl<const N: usize> Bench<N> {
                     },
                 };
                 let figures = self.figures::<A, P>(&scenario, (start, source), &bank, config)?;
-                let names = format!("{start:?}-{source:?}").to_lowercase();
                 reports.push(ScenarioReport {
                     arm: self.described.name.clone(),
-                    scenario: format!("{}-{names}", scenario.name),
+                    scenario: name,
                     seed: self.seed,
                     curve: figures.1,
                     figures: figures.0,

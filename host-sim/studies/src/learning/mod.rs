@@ -96,8 +96,8 @@ pub fn run(
     let seeds = first..first.saturating_add(count);
     let jobs = seeds.flat_map(|seed| arms.clone().map(move |arm| (arm, seed)));
     let jobs: Vec<(&WorldArm, u64)> = jobs.collect();
-    let chosen = Scenario::all(config.quick).filter(|own| own.name.starts_with(scenario));
-    let runs = chosen.map(|own| own.starts.len() * own.ticks(config.quick));
+    let runs =
+        Scenario::all(config.quick).map(|own| own.runs(scenario).count() * own.ticks(config.quick));
     let all = jobs.len() * runs.sum::<usize>() / 1000;
     if all == 0 {
         let reason = format!("no arm and scenario begin with '{only}': --list shows them");

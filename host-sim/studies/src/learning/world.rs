@@ -298,6 +298,15 @@ impl Scenario {
         scenarios.filter(move |scenario| !quick || scenario.quick_s > 0.0)
     }
 
+    /// The runs whose names begin with `only`: name, start and source of the torque.
+    pub(super) fn runs(&self, only: &str) -> impl Iterator<Item = (String, Start, Source)> {
+        let starts = self.starts.iter().map(|&(start, source)| {
+            let of = format!("{start:?}-{source:?}").to_lowercase();
+            (format!("{}-{of}", self.name), start, source)
+        });
+        starts.filter(move |(name, ..)| name.starts_with(only))
+    }
+
     pub(super) fn ticks(&self, quick: bool) -> usize {
         let seconds = if quick { self.quick_s } else { self.seconds };
         (seconds / PERIOD_S).round() as usize
@@ -347,6 +356,16 @@ mod tests {
                 "{}: {share}",
                 robot.name
             );
+        }
+    }
+    #[test]
+    fn a_run_is_chosen_by_the_name_it_has_in_the_report() {
+        for scenario in Scenario::all(false) {
+            let all: Vec<_> = scenario.runs("").collect();
+            assert_eq!(all.len(), scenario.starts.len());
+            for run in all {
+                assert_eq!(scenario.runs(&run.0).collect::<Vec<_>>(), [run]);
+            }
         }
     }
 }
