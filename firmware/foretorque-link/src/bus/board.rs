@@ -178,7 +178,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
             _ => {}
         }
         drives.follow(session.desired());
-        drives.advance(enabled, || enabled);
+        drives.advance(enabled, || Ok(()));
         failed |= drives.fault().is_some();
         if failed {
             session.trip(SafetyReason::Drive);
@@ -190,7 +190,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrives<A, N, P> {
-    fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason {
+    fn measure(&mut self, sample: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
         self.ticked = true;
         match &mut self.side {
             Side::Master(drives) => {
@@ -200,14 +200,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrive
                 if let Some(sample) = sample {
                     sample.measured = whole.then_some(measured);
                 }
-                // No torque before every drive is switched on.
-                if !at_rest && !matches!(drives.phase(), BusPhase::Running(_)) {
-                    *sample = None;
-                }
             }
             Side::InLine(line) => *sample = line.sample(sample.as_ref(), self.period_us),
         }
         SafetyReason::None
+    }
+
+    /// No torque before every drive is switched on.
+    fn holds(&self) -> bool {
+        match &self.side {
+            Side::Master(drives) => !matches!(drives.phase(), BusPhase::Running(_)),
+            Side::InLine(_) => false,
+        }
     }
 }
 

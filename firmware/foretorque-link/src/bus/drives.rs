@@ -5,7 +5,7 @@ use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
 use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
-use crate::safety::SafetyLimits;
+use crate::safety::{SafetyLimits, SafetyReason};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMeasurement, JointMotion, JointVector};
 
@@ -138,16 +138,21 @@ impl<const N: usize> BusDrives<N> {
 
     /// Begins to switch the drives on.
     ///
-    /// Errors: the first reason against it; drives that do not reply, scales that differ, a fault that is not cleared.
+    /// Errors: the first reason against it; drives that do not reply or still damp, scales that differ, a fault that is not
+    /// cleared.
     pub fn arm(&mut self) -> Result<(), BusFault> {
         if let Some(fault) = self.fault {
             return Err(fault);
         }
-        if self.phase == BusPhase::Off {
-            self.ready()?;
-            self.phase = BusPhase::Enabling(0);
+        match self.phase {
+            BusPhase::Off => {
+                self.ready()?;
+                self.phase = BusPhase::Enabling(0);
+                Ok(())
+            }
+            BusPhase::Enabling(_) | BusPhase::Running(_) => Ok(()),
+            BusPhase::Damping(_) => Err(SafetyReason::StillRamping.into()),
         }
-        Ok(())
     }
 
     /// Every drive replies, and reports no fault and the scales of its profile.
@@ -249,8 +254,8 @@ impl<const N: usize> BusDrives<N> {
     /// Enters the next phase where this one is over.
     ///
     /// * `enabled` torque may flow
-    /// * `arm` lets torque flow, once every drive is switched on; `false`: not yet
-    pub fn advance(&mut self, enabled: bool, arm: impl FnOnce() -> bool) {
+    /// * `arm` lets torque flow, once every drive is switched on; an error is the reason that it may not yet
+    pub fn advance(&mut self, enabled: bool, arm: impl FnOnce() -> Result<(), SafetyReason>) {
         let period_s = self.period_s;
         self.phase = match self.phase {
             BusPhase::Off => BusPhase::Off,
@@ -262,13 +267,19 @@ impl<const N: usize> BusDrives<N> {
                         None => count < 2 * STATE_PERIODS,
                     })
                 });
-                if waiting.is_none() && arm() {
-                    BusPhase::Running(0)
-                } else if count < periods(ENABLE_S, period_s) {
-                    BusPhase::Enabling(count.saturating_add(1))
-                } else {
-                    self.fail(waiting.map(|joint| joint as u8), FaultCause::NotEnabled);
-                    BusPhase::Off
+                let refused = match waiting {
+                    Some(_) => Some(FaultCause::NotEnabled),
+                    None => arm().err().map(FaultCause::Refused),
+                };
+                match refused {
+                    None => BusPhase::Running(0),
+                    Some(_) if count < periods(ENABLE_S, period_s) => {
+                        BusPhase::Enabling(count.saturating_add(1))
+                    }
+                    Some(cause) => {
+                        self.fail(waiting.map(|joint| joint as u8), cause);
+                        BusPhase::Off
+                    }
                 }
             }
             BusPhase::Running(count) if enabled => BusPhase::Running(count.saturating_add(1)),

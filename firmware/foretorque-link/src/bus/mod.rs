@@ -68,6 +68,8 @@ pub enum FaultCause {
     Losses,
     /// The bus is off.
     BusOff,
+    /// The drives are ready, and torque may not flow.
+    Refused(SafetyReason),
 }
 
 /// Fault of the bus, or of the drive of one joint.
@@ -77,6 +79,13 @@ pub struct BusFault {
     pub joint: Option<u8>,
     /// Cause.
     pub cause: FaultCause,
+}
+
+impl From<SafetyReason> for BusFault {
+    fn from(reason: SafetyReason) -> Self {
+        let cause = FaultCause::Refused(reason);
+        Self { joint: None, cause }
+    }
 }
 
 impl fmt::Display for BusFault {
@@ -110,6 +119,7 @@ impl fmt::Display for BusFault {
             ),
             FaultCause::Losses => f.write_str("the bus loses more than one period in five"),
             FaultCause::BusOff => f.write_str("the bus is off"),
+            FaultCause::Refused(reason) => write!(f, "torque may not flow: {reason}"),
         }
     }
 }
@@ -247,8 +257,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
 
     /// Begins to switch the drives on.
     ///
-    /// Errors: the first reason against it; drives that do not reply, scales that differ, a fault that is not cleared.
+    /// Errors: the first reason against it; a fault that is not cleared, torque that still ramps, a hot motor, drives that
+    /// do not reply or still damp, scales that differ.
     pub fn arm(&mut self) -> Result<(), BusFault> {
+        self.drives.fault().map_or(Ok(()), Err)?;
+        self.safety.ready()?;
         self.drives.arm()
     }
 
@@ -306,7 +319,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         self.drives
             .follow(sample.as_ref().map(|sample| &sample.desired));
         let (enabled, safety) = (self.safety.enabled(), &mut self.safety);
-        self.drives.advance(enabled, || safety.arm().is_ok());
+        self.drives.advance(enabled, || safety.arm());
         if self.drives.fault().is_some() {
             self.safety.trip(SafetyReason::Drive);
         }

@@ -3,7 +3,8 @@ use crate::drives::{
     DriveProfile, DriveState, Frame, Frames, JointReply, Order, Protocol, Ranges, Request, Scale,
 };
 use crate::safety::SafetyState;
-use crate::session::LearnerMailbox;
+use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Session};
+use crate::wire::{FrameBuffer, HostMessage, SampleFrame};
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use std::vec::Vec;
@@ -73,8 +74,21 @@ impl Drives {
         let mut sent = Vec::new();
         let mut mailbox = LearnerMailbox::new();
         let tick = controller.tick(desired, &mut mailbox, |bus, frame| sent.push((bus, *frame)));
+        for (bus, frame) in self.answers(&sent, change) {
+            controller.receive(bus, &frame);
+        }
+        tick
+    }
+
+    /// What the drives answer to these frames; `change` may alter an answer.
+    fn answers(
+        &mut self,
+        sent: &[(u8, Frame)],
+        change: impl Fn(usize, &mut JointReply) -> bool,
+    ) -> Vec<(u8, Frame)> {
+        let mut answers = Vec::new();
         self.order.clear();
-        for (bus, frame) in sent {
+        for &(bus, frame) in sent {
             for j in 0..6 {
                 let joint = self.config.joints[j];
                 if joint.bus != bus {
@@ -114,12 +128,10 @@ impl Drives {
                 if frames.is_empty() && change(j, &mut reply) {
                     joint.drive.reply(&reply, &mut frames);
                 }
-                frames
-                    .iter()
-                    .for_each(|frame| controller.receive(bus, frame));
+                answers.extend(frames.iter().map(|frame| (bus, *frame)));
             }
         }
-        tick
+        answers
     }
 
     /// So many periods at rest; the last one.
@@ -169,6 +181,78 @@ fn arms_after_the_scales_and_sends_torque_and_ramped_gains() {
     let phase = controller.drives().phase();
     assert_eq!((phase, drives.on), (BusPhase::Off, [false; 6]));
     assert!(controller.drives().fault().is_none());
+}
+
+#[test]
+fn no_drive_is_switched_on_where_torque_may_not_flow() {
+    let mut drives = Drives::new();
+    let mut controller = drives.started();
+    controller.disarm();
+    drives.rest(&mut controller, 20);
+    let refusal = controller.arm().expect_err("the drives damp");
+    assert_eq!(refusal, SafetyReason::StillRamping.into());
+    controller.stop();
+    drives.rest(&mut controller, 20);
+    let refusal = controller.arm().expect_err("the stop stands");
+    assert_eq!(refusal, SafetyReason::Stopped.into());
+    drives.rest(&mut controller, 20);
+    assert_eq!(drives.on, [false; 6]);
+    controller.clear().unwrap();
+    drives.rest(&mut controller, 20);
+    controller.arm().unwrap();
+    let mut far = JointMotion::zero();
+    far.q[1] = 0.25;
+    for _ in 0..400 {
+        drives.period(&mut controller, Some(&far), |_, _| true);
+    }
+    let fault = controller.drives().fault().expect("too far away");
+    assert_eq!(fault, SafetyReason::TooFar.into());
+    assert_eq!(drives.on, [false; 6]);
+}
+
+#[test]
+fn a_board_waits_for_drives_that_are_slow_to_switch_on() {
+    const SLOW_MS: u32 = 300;
+    let wiring = Wiring {
+        role: Role::Master,
+        wires: Wires::Can,
+        bit_s: 1_000_000,
+        joints: config().joints.map(Some).into_iter().collect(),
+    };
+    let mut board = BoardDrives::<Ur5, 6, 40>::new(&wiring);
+    let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock)).unwrap();
+    let (mut mailboxes, mut drives) = (Mailboxes::new(), Drives::new());
+    let still = SampleFrame::new(&JointSample {
+        desired: JointMotion::zero(),
+        measured: None,
+    });
+    for ms in 0..SLOW_MS + 100 {
+        let mut messages = std::vec![HostMessage::<6>::Sample(still.in_period(ms as u8 % 32))];
+        if ms == 50 {
+            messages.push(HostMessage::Arm);
+        }
+        for (part, message) in messages.iter().enumerate() {
+            let (mut request, mut reply) = (FrameBuffer::new(), FrameBuffer::new());
+            request
+                .push((2 * ms + part as u32) as u16, message)
+                .unwrap();
+            session.receive(request.as_bytes(), &mut mailboxes, &mut reply, &mut board);
+        }
+        let mut sent = Vec::new();
+        board.follow(&mut session, false, |bus, frame| sent.push((bus, *frame)));
+        let on = ms > 50 + SLOW_MS;
+        let answers = drives.answers(&sent, |_, reply| {
+            reply.state = reply.state.filter(|_| on).or(Some(DriveState::Disabled));
+            true
+        });
+        for (bus, frame) in answers {
+            board.receive(bus, &frame);
+        }
+        // Replies arrive after a tick, and the first sample after them lets torque through.
+        let flows = session.torque_output()[1] != 0.0;
+        assert_eq!(flows, ms > 50 + SLOW_MS + 2, "{ms} ms");
+    }
+    assert_eq!(session.safety().state, SafetyState::Armed);
 }
 
 #[test]

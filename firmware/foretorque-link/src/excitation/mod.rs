@@ -19,8 +19,10 @@
 mod path;
 mod player;
 
+use crate::safety::JUMP_MARGIN;
 use foretorque::arm::{Arm, JointLimits};
 use foretorque::joint::{JointMotion, JointVector};
+use foretorque::limits::cut;
 pub use path::{HARMONICS, JointSeries, PreparedSeries};
 use path::{STOP_S, STOP_SHARE, stop_s};
 pub use player::Player;
@@ -315,7 +317,7 @@ fn inside<const N: usize>(
         && qdd.abs() + more[2] <= bounds.acceleration_rad_s2 * (1.0 + SLACK)
 }
 
-/// Measured speed that aborts, parts of the joint's limit: encoder noise adds to the speed.
+/// Speed that aborts, parts of the joint's limit.
 const OVERSPEED: f32 = 1.2;
 
 /// Supervision of the measured and desired motion while an excitation plays.
@@ -323,8 +325,9 @@ const OVERSPEED: f32 = 1.2;
 struct Supervision<const N: usize> {
     /// Ticks in a row without a measurement.
     blind: u32,
-    /// Measured position of the tick before.
-    before: Option<JointVector<N>>,
+    /// Position that follows the measured one no faster than [`OVERSPEED`], N × rad. [`JUMP_MARGIN`] between the two is no
+    /// speed: an encoder has steps.
+    followed: Option<JointVector<N>>,
 }
 
 impl<const N: usize> Supervision<N> {
@@ -342,18 +345,20 @@ impl<const N: usize> Supervision<N> {
     ) -> Option<AbortReason> {
         let Some(measured) = measured else {
             self.blind = self.blind.saturating_add(1);
+            self.followed = None;
             return (self.blind > limits.blind_ticks).then_some(AbortReason::Blind);
         };
         self.blind = 0;
         let tick_s = tick_us as f32 * 1e-6;
-        let before = self.before.as_ref();
+        let followed = self.followed.get_or_insert(*measured);
         let motion = desired
             .q
             .iter()
             .zip(desired.qd.iter())
             .zip(desired.qdd.iter());
-        let joints = measured.iter().zip(motion).zip(&limits.motion);
-        for (joint, ((q, ((desired, qd), qdd)), bounds)) in joints.enumerate() {
+        let measured = measured.iter().zip(followed.iter_mut());
+        let joints = measured.zip(motion).zip(&limits.motion);
+        for (joint, (((q, followed), ((desired, qd), qdd)), bounds)) in joints.enumerate() {
             let index = joint as u8;
             let (low, high) = bounds.position_rad;
             let inside = |q: f32| q >= low - tracking && q <= high + tracking;
@@ -366,10 +371,10 @@ impl<const N: usize> Supervision<N> {
             if (q - desired).abs() > tracking {
                 return Some(AbortReason::Tracking(index));
             }
-            let moved = before.and_then(|before| before.get(joint));
-            let moved = moved.map_or(0.0, |before| (q - before).abs());
             let fastest = OVERSPEED * bounds.velocity_rad_s;
-            if moved > fastest * tick_s || qd.abs() > fastest {
+            let (step, behind) = cut(q - *followed, fastest * tick_s);
+            *followed = if behind { *followed + step } else { *q };
+            if (q - *followed).abs() > JUMP_MARGIN || qd.abs() > fastest {
                 return Some(AbortReason::Velocity(index));
             }
             if qdd.abs() > (1.0 + STOP_SHARE) * bounds.acceleration_rad_s2 {

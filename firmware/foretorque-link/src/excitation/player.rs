@@ -146,7 +146,9 @@ impl<const N: usize> Player<N> {
             }
             self.advance();
         }
-        self.state.supervision.before = measured;
+        if !self.moving() {
+            self.state.supervision.followed = measured;
+        }
         self.desired().copied()
     }
 

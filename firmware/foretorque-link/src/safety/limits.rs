@@ -14,7 +14,7 @@ const HARD_SLEW_TIME_S: f32 = 0.01;
 /// Largest plausible speed, parts of the data sheet's.
 const SPEED_MARGIN: f32 = 1.5;
 /// Position step that is always plausible, rad: steps of a coarse encoder, noise, backlash.
-const JUMP_MARGIN: f32 = 0.02;
+pub(crate) const JUMP_MARGIN: f32 = 0.02;
 /// Plausible measured position beyond the joint's range, rad: zero offsets, overtravel.
 const RANGE_MARGIN: f32 = 0.1;
 /// Largest plausible measured effort, torque limits: impacts and braking reach a few.

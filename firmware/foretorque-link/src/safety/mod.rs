@@ -17,6 +17,7 @@ mod reason;
 mod task_check_in;
 
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
+pub(crate) use limits::JUMP_MARGIN;
 pub use limits::{
     COMMAND_TIMEOUT_US, HOT_C, HYSTERESIS_C, MEASUREMENT_TIMEOUT_US, SafetyLimits, WARM_C,
 };
@@ -314,20 +315,32 @@ impl<const N: usize> Safety<N> {
         torque.total
     }
 
+    /// Check of all that arming requires besides samples.
+    ///
+    /// Errors: the reason against it.
+    pub fn ready(&self) -> Result<(), SafetyReason> {
+        match self.state {
+            SafetyState::RampDown => Err(SafetyReason::StillRamping),
+            SafetyState::Fault => Err(self.latched),
+            _ if self.derating.hot() => Err(SafetyReason::MotorHot),
+            SafetyState::Armed | SafetyState::Disarmed => Ok(()),
+        }
+    }
+
+    /// Holds the torque back in this tick, as before the first sample after arming.
+    pub fn hold(&mut self) {
+        self.unconfirmed |= self.state == SafetyState::Armed;
+    }
+
     /// Lets torque through from the next sample on, if that is plausible and near too; else the board disarms again.
     /// Arming an armed board changes nothing.
     ///
     /// Errors: the reason against it; then nothing has changed.
     pub fn arm(&mut self) -> Result<(), SafetyReason> {
-        match self.state {
-            SafetyState::Armed => return Ok(()),
-            SafetyState::RampDown => return Err(SafetyReason::StillRamping),
-            SafetyState::Fault => return Err(self.latched),
-            SafetyState::Disarmed => {}
+        if self.state == SafetyState::Armed {
+            return Ok(());
         }
-        if self.derating.hot() {
-            return Err(SafetyReason::MotorHot);
-        }
+        self.ready()?;
         self.input.allows_arming()?;
         self.input.clear_counts();
         self.state = SafetyState::Armed;

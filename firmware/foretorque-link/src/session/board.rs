@@ -32,13 +32,19 @@ impl Clock for NoClock {
 /// Sensor of the board's own joints, whose measurements replace those of the sample.
 pub trait LocalSensor<const N: usize> {
     /// Writes the measurements into the sample. Called once in every tick, with the sample if one arrived. A sensor that
-    /// also has the desired motion may make a sample where none arrived, and withhold one that must not be used yet.
+    /// also has the desired motion may make a sample where none arrived.
     ///
     /// * `at_rest` no torque flows
     ///
     /// Returns [`SafetyReason::None`], or why there is no position: then nothing of this sample counts as measured, and
     /// the sample is implausible for that reason.
     fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason;
+
+    /// True while torque has to wait for the drives, although the samples are sound.
+    #[inline(always)]
+    fn holds(&self) -> bool {
+        false
+    }
 }
 
 /// A board without a sensor: the host measures every joint.

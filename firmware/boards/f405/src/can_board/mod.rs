@@ -126,6 +126,10 @@ impl LocalSensor<JOINTS> for Sensor {
             None => SafetyReason::Drive,
         }
     }
+
+    fn holds(&self) -> bool {
+        self.0.as_ref().is_some_and(LocalSensor::holds)
+    }
 }
 
 impl Drive for BusDrive {

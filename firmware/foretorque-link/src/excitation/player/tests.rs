@@ -194,6 +194,18 @@ fn an_arm_that_does_not_follow_or_is_not_finite_aborts_it() {
 }
 
 #[test]
+fn steps_of_a_coarse_encoder_are_no_speed() {
+    let mut player = playing();
+    let step = core::f32::consts::TAU / 1024.0;
+    for _ in 0..4000 {
+        let motion = player.desired().unwrap();
+        let q = motion.q.map(|q| (q / step).round() * step);
+        player.step(Some(&sample(at_rest(0.0), q)));
+        assert_eq!(player.state(), Playing);
+    }
+}
+
+#[test]
 fn an_aborted_one_comes_to_rest_and_waits_for_release() {
     let (mut player, motions) = disturbed(600, 3000, |q| q[0] -= 0.2);
     assert_eq!(player.state(), Aborted(AbortReason::Tracking(0)));

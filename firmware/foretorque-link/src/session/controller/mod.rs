@@ -263,11 +263,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             self.stop_motion();
         }
         self.flowed = flows;
-        let excited = self.player.step(sample.as_ref());
+        let held = sensor.holds();
+        let excited = self.player.step(sample.as_ref().filter(|_| !held));
         if let (Some(sample), Some(desired)) = (&mut sample, excited) {
             sample.desired = desired;
         }
         let sample = self.safety.admit(sample, periods, sensor_fault);
+        if held {
+            self.safety.hold();
+        }
         self.desired = sample.map(|sample| sample.desired);
         let start = clock.now();
         let torque = self.safety.step(&mut self.feed_forward, sample.as_ref());
