@@ -126,9 +126,7 @@ impl BusJoint {
                 return Err(Contradiction::new(field, gain, "the least value", 0.0));
             }
         }
-        let Some(ranges) = drive.protocol.ranges() else {
-            return Ok(());
-        };
+        let ranges = drive.protocol.largest();
         let square = drive.gear * drive.gear;
         for (field, gain, against, most) in [
             ("kp", self.kp, "the largest kp of the frame", ranges.kp),

@@ -1,6 +1,7 @@
 use super::*;
 use crate::drives::{
-    DriveProfile, DriveState, Frame, Frames, JointReply, Order, Protocol, Ranges, Request, Scale,
+    DriveProfile, DriveState, Frame, Frames, JointReply, Moteus, Order, Protocol, Ranges, Request,
+    Resolution, Scale,
 };
 use crate::safety::SafetyState;
 use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Session};
@@ -367,7 +368,20 @@ fn limits_of_the_parameters_are_those_of_the_drives() {
 
 #[test]
 fn contradictions_name_joint_field_and_both_values() {
-    let corruptions: [fn(&mut BusConfig<6>); 9] = [
+    fn moteus(config: &mut BusConfig<6>, gear: f32, torque_limit: f32) {
+        let drive = &mut config.joints[3].drive;
+        (drive.gear, drive.torque_limit) = (gear, torque_limit);
+        drive.protocol = Protocol::Moteus(Moteus {
+            kp: 4e3,
+            kd: 200.0,
+            watchdog_s: 0.1,
+            resolution: Resolution::Int16,
+        });
+    }
+    let corruptions: [fn(&mut BusConfig<6>); 12] = [
+        |c| moteus(c, 9.0, 28.0),
+        |c| moteus(c, 0.05, 28.0),
+        |c| moteus(c, 0.5, 28.0),
         |c| c.period_s = 1e-4,
         |c| c.joints[1].drive.torque_limit = 180.0,
         |c| {
@@ -382,6 +396,9 @@ fn contradictions_name_joint_field_and_both_values() {
         |c| c.joints[4].kd = f32::NAN,
     ];
     let refusals = [
+        "joint 4: range of position 2.28",
+        "joint 4: torque_limit 28 contradicts the largest value 16.38",
+        "joint 4: kp 300 contradicts the largest kp of the frame 159.1",
         "period_s 0.0001 contradicts the shortest period 0.0005",
         "joint 2: torque_limit 180 contradicts the torque of the arm 150",
         "joint 3: torque_limit 28 contradicts the largest value 20",

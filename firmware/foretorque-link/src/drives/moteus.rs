@@ -41,11 +41,7 @@ impl Codec<'_> {
         put(&mut bytes, &[WRITE | form(resolution).0, 5, COMMAND as u8]);
         let kp = motion.kp * TURN / self.scales.kp;
         let kd = motion.kd * TURN / self.scales.kd;
-        // Integers end at a scale of 1.
-        let most = match resolution {
-            Resolution::F32 => 1e3,
-            _ => 1.0,
-        };
+        let most = largest_scale(resolution);
         let kp = out.flags.clamp_in(kp, 0.0, most, Saturation::KP);
         let kd = out.flags.clamp_in(kd, 0.0, most, Saturation::KD);
         let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
@@ -252,8 +248,16 @@ fn put(bytes: &mut Bytes, more: &[u8]) {
     debug_assert!(fits.is_ok(), "longer than a frame");
 }
 
+/// Largest scale of stiffness and damping: integers end at 1.
+pub(super) const fn largest_scale(resolution: Resolution) -> f32 {
+    match resolution {
+        Resolution::Int16 | Resolution::Int32 => 1.0,
+        Resolution::F32 => 1e3,
+    }
+}
+
 /// Steps of position, velocity and torque in turns, turns/s and N·m; 0 for f32.
-const fn steps(resolution: Resolution) -> [f32; 3] {
+pub(super) const fn steps(resolution: Resolution) -> [f32; 3] {
     match resolution {
         Resolution::Int16 => [1e-4, 2.5e-4, 1e-2],
         Resolution::Int32 => [1e-5, 1e-5, 1e-3],

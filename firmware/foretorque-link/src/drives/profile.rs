@@ -1,6 +1,6 @@
 //! Profile of one drive: protocol, scales, and the place of its joint.
 
-use super::JointCommand;
+use super::{JointCommand, TURN, moteus};
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -53,6 +53,57 @@ impl Protocol {
             | Self::CyberGear(ranges)
             | Self::RobStride(ranges) => Some(ranges),
             Self::Moteus(_) | Self::Odrive(_) | Self::Cia402(_) => None,
+        }
+    }
+
+    /// Largest values of a command, in the coordinates of the drive: what its frame carries.
+    pub(crate) fn largest(&self) -> Ranges {
+        const SHORT: f32 = i16::MAX as f32;
+        const LONG: f32 = i32::MAX as f32;
+        let unlimited = Ranges {
+            position: f32::MAX,
+            velocity: f32::MAX,
+            torque: 1e4,
+            kp: f32::MAX,
+            kd: f32::MAX,
+        };
+        match *self {
+            Self::MiniCheetah(ranges)
+            | Self::Damiao(ranges)
+            | Self::CyberGear(ranges)
+            | Self::RobStride(ranges) => ranges,
+            Self::Moteus(moteus) => {
+                let counts = match moteus.resolution {
+                    Resolution::Int16 => SHORT,
+                    Resolution::Int32 => LONG,
+                    Resolution::F32 => 0.0,
+                };
+                let steps = moteus::steps(moteus.resolution);
+                let [position, velocity, torque] = steps.map(|step| match counts * step {
+                    0.0 => f32::MAX,
+                    most => most,
+                });
+                let gain = moteus::largest_scale(moteus.resolution) / TURN;
+                Ranges {
+                    position: position * TURN,
+                    velocity: velocity * TURN,
+                    torque: torque.min(unlimited.torque),
+                    kp: gain * moteus.kp,
+                    kd: gain * moteus.kd,
+                }
+            }
+            Self::Odrive(odrive) if odrive.mode == ControlMode::Position => Ranges {
+                velocity: SHORT / odrive.velocity_scale * TURN,
+                torque: SHORT / odrive.torque_scale,
+                ..unlimited
+            },
+            Self::Odrive(_) => unlimited,
+            Self::Cia402(cia402) => Ranges {
+                position: LONG / cia402.counts_per_turn * TURN,
+                velocity: LONG / cia402.counts_per_turn * TURN,
+                torque: SHORT * 1e-3 * cia402.rated_torque,
+                ..unlimited
+            },
         }
     }
 }
@@ -266,14 +317,7 @@ impl DriveProfile {
 
     /// Largest torque at the joint that a frame carries, N·m.
     pub fn largest_torque(&self) -> f32 {
-        let drive = match self.protocol {
-            Protocol::Odrive(o) if o.mode == ControlMode::Position => {
-                f32::from(i16::MAX) / o.torque_scale
-            }
-            Protocol::Cia402(c) => f32::from(i16::MAX) * 1e-3 * c.rated_torque,
-            _ => self.protocol.ranges().map_or(1e4, |ranges| ranges.torque),
-        };
-        drive * self.gear
+        self.protocol.largest().torque * self.gear
     }
 
     /// Step of the reported torque at the joint, N·m: the reply's quantum. Rounding adds noise of this over √12.
