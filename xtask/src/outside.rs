@@ -22,8 +22,15 @@ const MOST_CRATES: usize = 30;
 /// Parts of the names of crates that belong to a board or an executor.
 const FOREIGN: [&str; 4] = ["cortex-m", "stm32", "rtic", "embassy"];
 
+/// Seconds for which the RTIC application runs in the emulator, and the least number of samples that it learns from in that
+/// time: it has one in a millisecond.
+const RUN_S: &str = "10";
+const LEAST_SAMPLES: usize = 100;
+/// Status of `timeout` when it has ended a program.
+const ENDED: i32 = 124;
+
 /// Links both crates for [`TARGET`], the first one for [`OTHER_TARGET`] too where rustup has or brings its core; counts its
-/// crates and packages the publishable ones.
+/// crates, packages the publishable ones and starts the RTIC application.
 pub(crate) fn gate(tools: Tools) -> Result<()> {
     for (manifest, target) in [(OWN_ARM, TARGET), (OWN_ARM, OTHER_TARGET), (RTIC, TARGET)] {
         if target != TARGET && !installed(tools.board, target)? {
@@ -42,6 +49,8 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
         build.args(["--manifest-path", manifest]);
         shell::run(&mut build)?;
     }
+    let elf = Path::new("target/outside").join(TARGET);
+    starts(&elf.join("release/rtic_joint"))?;
     let mut tree = tools.board.tool("cargo");
     tree.args(["tree", "--locked", "--target", TARGET, "-e", "normal"]);
     tree.args(["--prefix", "none", "--manifest-path", OWN_ARM]);
@@ -55,6 +64,29 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
         package.args(["-p", name]);
     }
     shell::run(&mut package)
+}
+
+/// Runs the RTIC application in the emulator.
+fn starts(elf: &Path) -> Result<()> {
+    let mut emulator = command("timeout");
+    emulator.args([RUN_S, "qemu-system-arm", "-machine", "netduinoplus2"]);
+    emulator.args(["-display", "none", "-monitor", "none", "-serial", "none"]);
+    // The dispatcher of the learning task is interrupt 7, exception 23.
+    emulator.args(["-d", "int", "-kernel"]).arg(elf);
+    let output = emulator.output().context("cannot start `timeout`")?;
+    let log = String::from_utf8_lossy(&output.stderr);
+    let samples = log.matches("previous exception 23\n").count();
+    ensure!(
+        output.status.code() == Some(ENDED) && samples >= LEAST_SAMPLES,
+        "{} learnt from {samples} samples, then: {}",
+        elf.display(),
+        log.lines()
+            .rev()
+            .find(|line| line.contains("qemu"))
+            .unwrap_or("nothing")
+    );
+    println!("the RTIC application runs: {samples} samples learnt");
+    Ok(())
 }
 
 /// The core of `target` is there.

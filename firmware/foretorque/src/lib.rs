@@ -39,7 +39,8 @@
 //! }
 //! # Ok::<(), foretorque::learning::ConfigError>(())
 //! ```
-//! The folder `examples/` holds complete programs: `tick`, `payload` (learning on the host), `own_arm` and `rtic`.
+//! The folder `examples/` holds complete programs: `tick`, `payload` (learning on the host), `own_arm` and `rtic`. A board
+//! has no room for a learner on its stack: there a static [`Learner::EMPTY`](learning::Learner::EMPTY) is restarted in place.
 //!
 //! # Modules
 //! Dependencies point down the table only.

@@ -81,7 +81,7 @@ impl Drives {
         tick
     }
 
-    /// What the drives answer to these frames; `change` may alter an answer.
+    /// Answers of the drives to these frames; `change` may alter an answer.
     fn answers(
         &mut self,
         sent: &[(u8, Frame)],

@@ -37,7 +37,10 @@ impl<F: NorFlash> Store<F> {
     /// The store in `flash`, whose capacity is exactly two sectors. Accesses nothing yet.
     pub const fn new(flash: F) -> Self {
         const {
-            assert!(F::ERASE_SIZE.is_multiple_of(SLOT_BYTES as usize));
+            assert!(
+                F::ERASE_SIZE.is_multiple_of(SLOT_BYTES as usize),
+                "join small pages of the flash: a part to erase holds whole slots of 4 KiB"
+            );
             assert!(PIECE.is_multiple_of(F::WRITE_SIZE) && PIECE.is_multiple_of(F::READ_SIZE));
             assert!(HEADER_BYTES + ParameterBank::MAX_BYTES <= SLOT_BYTES as usize);
         }

@@ -85,7 +85,7 @@ pub enum HostMessage<const N: usize> {
         /// Number of the request.
         code: u8,
     },
-    /// Stores the active parameters. Refused while armed or learning. Reply, when it is done: ack.
+    /// Stores the committed parameters. Refused while armed or learning. Reply, when it is done: ack.
     Save,
     /// Brings the stored parameters into force. Refused while armed or learning. Reply, when it is done: ack.
     Restore,

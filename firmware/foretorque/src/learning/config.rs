@@ -57,6 +57,28 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> LearnerConfig<N, P> {
+    /// Configuration of a learner that has none yet; it does not validate.
+    pub(super) const ZERO: Self = Self {
+        inv_period: 0.0,
+        noise: 0.0,
+        outlier_sigmas: 0.0,
+        noise_inflation: 0.0,
+        decimation: 0,
+        correlation_s: 0.0,
+        process_noise: 0.0,
+        torque_step: 0.0,
+        sigma: LinearParameters::filled(0.0),
+        velocity_gate: 0.0,
+        acceleration_limit: 0.0,
+        network: TrainerConfig {
+            output_sigma: 0.0,
+            hidden_rate: 0.0,
+            clip_sigmas: 0.0,
+            memory_rows: 0.0,
+        },
+        supervisor: SupervisorConfig::ZERO,
+    };
+
     /// Defaults for an arm; prior standard deviations follow from the description and the limits of the joints.
     ///
     /// Mass, inertia and rotor of a link: 20 % of the description; centre of mass: 5 % of its distance and 3 mm along each

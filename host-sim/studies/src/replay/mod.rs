@@ -69,7 +69,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
         let mut feedforward = FeedForward::new(FeedForwardConfig::for_arm::<A, P>(period_s), set)?;
         feedforward.set_learning(true);
         let config = LearnerConfig::for_arm::<A>(period_s);
-        let mut learner = Learner::empty(config);
+        let mut learner = Learner::EMPTY;
         learner.restart_with(config, &set, &start.deviations)?;
         Ok(Self {
             start: *start,

@@ -66,7 +66,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         let controller = BusController::new(config, parameters)?;
         let (period, against) = (config.period_s, "the limits of the learner at a period of");
         let limits = config.learner::<A, P>();
-        let mut learner = Learner::empty(limits);
+        let mut learner = Learner::EMPTY;
         learner
             .restart_with(limits, &parameters.set, &parameters.start)
             .map_err(|_| Contradiction::new("period_s", period, against, period))?;

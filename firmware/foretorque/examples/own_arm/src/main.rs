@@ -12,7 +12,7 @@ use core::arch::asm;
 use core::cell::RefCell;
 use core::hint::black_box;
 
-use arm::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Panda};
+use arm::{Exchange, FeedForward, Learner, LearnerConfig, Panda, ParameterSet};
 use critical_section::{Mutex, RawRestoreState};
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointMotion, JointSample};
@@ -39,6 +39,8 @@ unsafe impl critical_section::Impl for Masked {
 }
 
 static EXCHANGE: Mutex<RefCell<Exchange>> = Mutex::new(RefCell::new(Exchange::new()));
+/// On the stack there is no room for a learner.
+static LEARNER: Mutex<RefCell<Learner>> = Mutex::new(RefCell::new(Learner::EMPTY));
 
 /// Entry of the linker's default script.
 #[unsafe(no_mangle)]
@@ -51,7 +53,8 @@ fn run() -> Option<()> {
     let set = ParameterSet::nominal::<Panda>(1);
     let config = FeedForwardConfig::for_arm::<Panda, _>(1e-3);
     let mut feed_forward = FeedForward::new(config, set).ok()?;
-    let mut learner = Learner::new(LearnerConfig::for_arm::<Panda>(1e-3), set).ok()?;
+    let learner = LearnerConfig::for_arm::<Panda>(1e-3);
+    critical_section::with(|token| LEARNER.borrow_ref_mut(token).restart(learner, &set)).ok()?;
     loop {
         let sample = black_box(JointSample {
             desired: JointMotion::zero(),
@@ -59,6 +62,7 @@ fn run() -> Option<()> {
         });
         critical_section::with(|token| {
             let exchange = &mut *EXCHANGE.borrow_ref_mut(token);
+            let mut learner = LEARNER.borrow_ref_mut(token);
             feed_forward.adopt(exchange);
             black_box(feed_forward.step(&sample));
             learner.learn(&feed_forward.learning_sample(sample.measured), exchange);

@@ -4,7 +4,6 @@
 
 #[rtic::app(device = stm32f4xx_hal::pac, dispatchers = [EXTI1])]
 mod app {
-    use core::mem::MaybeUninit;
     use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
     use foretorque::feedforward::FeedForwardConfig;
     use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
@@ -21,17 +20,17 @@ mod app {
         learner: &'static mut Learner,
     }
 
-    #[init(local = [memory: MaybeUninit<Learner> = MaybeUninit::uninit()])]
+    // A static: on the stack there is no room for a learner.
+    #[init(local = [empty: Learner = Learner::EMPTY])]
     fn init(mut cx: init::Context) -> (Shared, Local) {
         let set = ParameterSet::nominal::<Ur5>(1);
         let config = FeedForwardConfig::for_arm::<Ur5, _>(1e-3);
         let mut feedforward = FeedForward::new(config, set).expect("a sound configuration");
         feedforward.set_learning(true);
-        let learner = Learner::new(LearnerConfig::for_arm::<Ur5>(1e-3), set);
-        let learner = cx
-            .local
-            .memory
-            .write(learner.expect("a sound configuration"));
+        let learner = cx.local.empty;
+        learner
+            .restart(LearnerConfig::for_arm::<Ur5>(1e-3), &set)
+            .expect("a sound configuration");
         // The internal oscillator runs at 16 MHz; a real board starts its PLL here.
         cx.core.SYST.set_reload(16_000 - 1);
         cx.core.SYST.enable_counter();

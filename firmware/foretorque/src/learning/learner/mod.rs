@@ -97,22 +97,24 @@ pub struct Learner<A: Arm<N, P>, const N: usize, const P: usize> {
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
-    /// Learner that starts from the prior set `prior`.
+    /// Learner that starts from the prior set `prior`. On a board a static [`EMPTY`](Self::EMPTY) one is restarted in place:
+    /// this one takes tens of kilobytes of the stack.
     ///
     /// Errors: the first invalid field of `config`.
     pub fn new(
         config: LearnerConfig<N, P>,
         prior: ParameterSet<N, P>,
     ) -> Result<Self, ConfigError> {
-        let mut learner = Self::empty(config);
+        let mut learner = Self::EMPTY;
         learner.restart(config, &prior)?;
         Ok(learner)
     }
 
-    /// Learner with zero parameters, for a static: it is too large for the stack of a board.
+    /// Learner without configuration, for a static: one on the stack is too large for a board.
     ///
     /// Assumes: [`restart`](Self::restart) before the first sample.
-    pub const fn empty(config: LearnerConfig<N, P>) -> Self {
+    pub const EMPTY: Self = {
+        let config = LearnerConfig::ZERO;
         let zero = ParameterSet::zero();
         Self {
             config,
@@ -140,7 +142,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             only_joint: None,
             arm: PhantomData,
         }
-    }
+    };
 
     /// Restart from `prior` with prior deviations, as [`new`](Self::new), in place.
     ///

@@ -266,7 +266,7 @@ fn a_well_known_parameter_moves_less_than_an_unknown_one() {
         start.friction[3].fill(joint);
         start.rigid.fill(joint);
         let config = LearnerConfig::for_arm::<Ur5>(1e-3);
-        let mut learner = Learner::<Ur5, N, P>::empty(config);
+        let mut learner = Learner::<Ur5, N, P>::EMPTY;
         learner.restart_with(config, &prior(), &start).unwrap();
         learn_ticks(&mut learner, 0..300, true);
         let (estimate, sigma) = (learner.state.estimate.parameters(), config.sigma);

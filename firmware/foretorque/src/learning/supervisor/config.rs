@@ -54,6 +54,35 @@ pub struct SupervisorConfig {
 }
 
 impl SupervisorConfig {
+    /// Thresholds of a learner that has none yet; they do not validate.
+    pub(in crate::learning) const ZERO: Self = Self {
+        block_ticks: 0,
+        detector: DetectorConfig {
+            clip: 0.0,
+            drift: 0.0,
+            threshold: 0.0,
+        },
+        max_payload_mass: 0.0,
+        min_payload_mass: 0.0,
+        max_com_distance: 0.0,
+        max_mass_sigma: 0.0,
+        payload_evidence: 0.0,
+        lasting_blocks: 0,
+        quiet_level: 0.0,
+        decision_blocks: 0,
+        timeout_blocks: 0,
+        payload_update_blocks: 0,
+        share_memory_s: 0.0,
+        relearning_ticks: 0,
+        commit_ticks: 0,
+        following_share: (0.0, 0.0),
+        checkpoint_ticks: 0,
+        raised_variance: 0.0,
+        pause_blocks: 0,
+        training_rows: 0,
+        trust_floor: 0.0,
+    };
+
     /// Defaults for an arm.
     ///
     /// * `inv_period` ticks per second, 1/s
