@@ -19,10 +19,9 @@
 mod path;
 mod player;
 
-use crate::safety::JUMP_MARGIN;
+use crate::safety::{JUMP_MARGIN, follow};
 use foretorque::arm::{Arm, JointLimits};
 use foretorque::joint::{JointMotion, JointVector};
-use foretorque::limits::cut;
 pub use path::{HARMONICS, JointSeries, PreparedSeries};
 use path::{STOP_S, STOP_SHARE, stop_s};
 pub use player::Player;
@@ -349,16 +348,18 @@ impl<const N: usize> Supervision<N> {
             return (self.blind > limits.blind_ticks).then_some(AbortReason::Blind);
         };
         self.blind = 0;
+        let speeds = limits.motion.iter().map(|bounds| bounds.velocity_rad_s);
+        let speeds = JointVector::from_iterator(speeds);
         let tick_s = tick_us as f32 * 1e-6;
-        let followed = self.followed.get_or_insert(*measured);
+        let steps = (&speeds, OVERSPEED * tick_s);
+        let fast = follow(steps, JUMP_MARGIN, &mut self.followed, measured);
         let motion = desired
             .q
             .iter()
             .zip(desired.qd.iter())
             .zip(desired.qdd.iter());
-        let measured = measured.iter().zip(followed.iter_mut());
-        let joints = measured.zip(motion).zip(&limits.motion);
-        for (joint, (((q, followed), ((desired, qd), qdd)), bounds)) in joints.enumerate() {
+        let joints = measured.iter().zip(motion).zip(&limits.motion);
+        for (joint, ((q, ((desired, qd), qdd)), bounds)) in joints.enumerate() {
             let index = joint as u8;
             let (low, high) = bounds.position_rad;
             let inside = |q: f32| q >= low - tracking && q <= high + tracking;
@@ -371,10 +372,7 @@ impl<const N: usize> Supervision<N> {
             if (q - desired).abs() > tracking {
                 return Some(AbortReason::Tracking(index));
             }
-            let fastest = OVERSPEED * bounds.velocity_rad_s;
-            let (step, behind) = cut(q - *followed, fastest * tick_s);
-            *followed = if behind { *followed + step } else { *q };
-            if (q - *followed).abs() > JUMP_MARGIN || qd.abs() > fastest {
+            if fast == Some(index) || qd.abs() > OVERSPEED * bounds.velocity_rad_s {
                 return Some(AbortReason::Velocity(index));
             }
             if qdd.abs() > (1.0 + STOP_SHARE) * bounds.acceleration_rad_s2 {

@@ -180,11 +180,12 @@ impl<const N: usize> InputState<N> {
     ) -> SafetyReason {
         let finite = all_finite(&desired.q) && all_finite(&desired.qd) && all_finite(&desired.qdd);
         if !finite {
-            SafetyReason::DesiredNotFinite
-        } else if follow(limits, &mut self.desired, &desired.q, periods) {
-            SafetyReason::DesiredJump
-        } else {
-            SafetyReason::None
+            return SafetyReason::DesiredNotFinite;
+        }
+        let steps = (&limits.step_per_tick, periods);
+        match follow(steps, limits.jump_margin, &mut self.desired, &desired.q) {
+            Some(_) => SafetyReason::DesiredJump,
+            None => SafetyReason::None,
         }
     }
 
@@ -216,13 +217,14 @@ impl<const N: usize> InputState<N> {
             .iter()
             .zip(limits.lowest.iter().zip(limits.highest.iter()))
             .any(|(q, (lowest, highest))| q < lowest || q > highest);
-        let jumped = follow(limits, &mut self.measured, &measured.q, periods);
+        let steps = (&limits.step_per_tick, periods);
+        let jumped = follow(steps, limits.jump_margin, &mut self.measured, &measured.q);
         let strong = measured
             .tau
             .iter()
             .zip(limits.effort.iter())
             .any(|(tau, most)| tau.abs() > *most);
-        match (outside, jumped, strong) {
+        match (outside, jumped.is_some(), strong) {
             (true, ..) => SafetyReason::PositionRange,
             (_, true, _) => SafetyReason::PositionJump,
             (.., true) => SafetyReason::EffortRange,
@@ -231,24 +233,27 @@ impl<const N: usize> InputState<N> {
     }
 }
 
-/// Moves `position` to `now` by no more than a joint can; true when the rest is a jump. Then it is at `now` all the same.
-// Has two callers, which share one copy.
+/// Moves `position` to `now` by no more than `step`, and returns the first joint for which the rest exceeds `margin`, a jump.
+/// Then it is at `now` all the same.
+// Has three callers, which share one copy.
 #[inline(never)]
-fn follow<const N: usize>(
-    limits: &SafetyLimits<N>,
+pub(crate) fn follow<const N: usize>(
+    (step, periods): (&JointVector<N>, f32),
+    margin: f32,
     position: &mut Option<JointVector<N>>,
     now: &JointVector<N>,
-    periods: f32,
-) -> bool {
+) -> Option<u8> {
     let position = position.get_or_insert(*now);
-    let mut jumped = false;
+    let mut jumped = None;
     let joints = position.iter_mut().zip(now.iter());
-    for ((position, &now), step) in joints.zip(limits.step_per_tick.iter()) {
+    for (joint, ((position, &now), step)) in joints.zip(step.iter()).enumerate() {
         let (step, behind) = cut(now - *position, step * periods);
         *position = if behind { *position + step } else { now };
-        jumped |= (now - *position).abs() > limits.jump_margin;
+        if (now - *position).abs() > margin {
+            jumped = jumped.or(Some(joint as u8));
+        }
     }
-    if jumped {
+    if jumped.is_some() {
         *position = *now;
     }
     jumped

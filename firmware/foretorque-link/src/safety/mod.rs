@@ -16,6 +16,7 @@ pub mod promises;
 mod reason;
 mod task_check_in;
 
+pub(crate) use input::follow;
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
 pub(crate) use limits::JUMP_MARGIN;
 pub use limits::{
