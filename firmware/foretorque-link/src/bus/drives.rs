@@ -5,7 +5,7 @@ use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
 use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
-use crate::safety::{SafetyLimits, SafetyReason};
+use crate::safety::{JUMP_MARGIN, SafetyLimits, SafetyReason};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMeasurement, JointMotion, JointVector};
 
@@ -78,7 +78,7 @@ impl<const N: usize> BusDrives<N> {
     /// Changes the period, s.
     pub fn set_period<A: Arm<N, P>, const P: usize>(&mut self, period_s: f32) {
         let limits = SafetyLimits::for_arm::<A, P>(micros(period_s));
-        self.steps = limits.step_per_tick.add_scalar(limits.jump_margin);
+        self.steps = limits.step_per_tick.add_scalar(JUMP_MARGIN);
         self.period_s = period_s;
     }
 

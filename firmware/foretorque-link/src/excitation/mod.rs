@@ -19,7 +19,7 @@
 mod path;
 mod player;
 
-use crate::safety::{JUMP_MARGIN, follow};
+use crate::safety::follow;
 use foretorque::arm::{Arm, JointLimits};
 use foretorque::joint::{JointMotion, JointVector};
 pub use path::{HARMONICS, JointSeries, PreparedSeries};
@@ -324,7 +324,7 @@ const OVERSPEED: f32 = 1.2;
 struct Supervision<const N: usize> {
     /// Ticks in a row without a measurement.
     blind: u32,
-    /// Position that follows the measured one no faster than [`OVERSPEED`], N × rad. [`JUMP_MARGIN`] between the two is no
+    /// Position that follows the measured one no faster than [`OVERSPEED`], N × rad. [`JUMP_MARGIN`](crate::safety::JUMP_MARGIN) between the two is no
     /// speed: an encoder has steps.
     followed: Option<JointVector<N>>,
 }
@@ -352,7 +352,7 @@ impl<const N: usize> Supervision<N> {
         let speeds = JointVector::from_iterator(speeds);
         let tick_s = tick_us as f32 * 1e-6;
         let steps = (&speeds, OVERSPEED * tick_s);
-        let fast = follow(steps, JUMP_MARGIN, &mut self.followed, measured);
+        let fast = follow(steps, &mut self.followed, measured);
         let motion = desired
             .q
             .iter()

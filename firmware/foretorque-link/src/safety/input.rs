@@ -1,4 +1,4 @@
-use super::{SafetyLimits, SafetyReason};
+use super::{JUMP_MARGIN, SafetyLimits, SafetyReason};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::limits::cut;
 
@@ -169,7 +169,7 @@ impl<const N: usize> InputState<N> {
 
     /// Fault of a desired motion that came `periods` after the one before.
     ///
-    /// A position may be [`jump_margin`](SafetyLimits::jump_margin) ahead of one that moves at the highest plausible speed:
+    /// A position may be [`JUMP_MARGIN`] ahead of one that moves at the highest plausible speed:
     /// a single step uses the margin up, and a speed above that one exceeds it soon. A position that jumps and stays is
     /// refused once, one that alternates at every jump.
     fn check_desired(
@@ -183,7 +183,7 @@ impl<const N: usize> InputState<N> {
             return SafetyReason::DesiredNotFinite;
         }
         let steps = (&limits.step_per_tick, periods);
-        match follow(steps, limits.jump_margin, &mut self.desired, &desired.q) {
+        match follow(steps, &mut self.desired, &desired.q) {
             Some(_) => SafetyReason::DesiredJump,
             None => SafetyReason::None,
         }
@@ -218,7 +218,7 @@ impl<const N: usize> InputState<N> {
             .zip(limits.lowest.iter().zip(limits.highest.iter()))
             .any(|(q, (lowest, highest))| q < lowest || q > highest);
         let steps = (&limits.step_per_tick, periods);
-        let jumped = follow(steps, limits.jump_margin, &mut self.measured, &measured.q);
+        let jumped = follow(steps, &mut self.measured, &measured.q);
         let strong = measured
             .tau
             .iter()
@@ -233,13 +233,12 @@ impl<const N: usize> InputState<N> {
     }
 }
 
-/// Moves `position` to `now` by no more than `step`, and returns the first joint for which the rest exceeds `margin`, a jump.
-/// Then it is at `now` all the same.
+/// Moves `position` to `now` by no more than `step`, and returns the first joint for which the rest exceeds
+/// [`JUMP_MARGIN`]. Then it is at `now` all the same.
 // Has three callers, which share one copy.
 #[inline(never)]
 pub(crate) fn follow<const N: usize>(
     (step, periods): (&JointVector<N>, f32),
-    margin: f32,
     position: &mut Option<JointVector<N>>,
     now: &JointVector<N>,
 ) -> Option<u8> {
@@ -249,7 +248,7 @@ pub(crate) fn follow<const N: usize>(
     for (joint, ((position, &now), step)) in joints.zip(step.iter()).enumerate() {
         let (step, behind) = cut(now - *position, step * periods);
         *position = if behind { *position + step } else { now };
-        if (now - *position).abs() > margin {
+        if (now - *position).abs() > JUMP_MARGIN {
             jumped = jumped.or(Some(joint as u8));
         }
     }

@@ -14,7 +14,7 @@ const HARD_SLEW_TIME_S: f32 = 0.01;
 /// Largest plausible speed, parts of the data sheet's.
 const SPEED_MARGIN: f32 = 1.5;
 /// Position step that is always plausible, rad: steps of a coarse encoder, noise, backlash.
-pub(crate) const JUMP_MARGIN: f32 = 0.02;
+pub const JUMP_MARGIN: f32 = 0.02;
 /// Plausible measured position beyond the joint's range, rad: zero offsets, overtravel.
 const RANGE_MARGIN: f32 = 0.1;
 /// Largest plausible measured effort, torque limits: impacts and braking reach a few.
@@ -31,10 +31,8 @@ pub struct SafetyLimits<const N: usize> {
     pub lowest: JointVector<N>,
     /// Highest plausible measured position, N × rad.
     pub highest: JointVector<N>,
-    /// Largest plausible change of a position in one period, N × rad, without [`jump_margin`](Self::jump_margin).
+    /// Largest plausible change of a position in one period, N × rad, without [`JUMP_MARGIN`].
     pub step_per_tick: JointVector<N>,
-    /// Position step that is always plausible, rad.
-    pub jump_margin: f32,
     /// Largest plausible measured torque, N × N·m.
     pub effort: JointVector<N>,
     /// Periods without a usable sample after which the torque ends.
@@ -62,7 +60,6 @@ impl<const N: usize> SafetyLimits<N> {
             lowest: of(|limits| limits.position.0 - RANGE_MARGIN),
             highest: of(|limits| limits.position.1 + RANGE_MARGIN),
             step_per_tick: of(|limits| limits.velocity) * (SPEED_MARGIN * period_s),
-            jump_margin: JUMP_MARGIN,
             effort: torque * EFFORT_MARGIN,
             timeout_ticks: ticks(COMMAND_TIMEOUT_US),
             brake_ticks: 0,

@@ -18,9 +18,9 @@ mod task_check_in;
 
 pub(crate) use input::follow;
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
-pub(crate) use limits::JUMP_MARGIN;
 pub use limits::{
-    COMMAND_TIMEOUT_US, HOT_C, HYSTERESIS_C, MEASUREMENT_TIMEOUT_US, SafetyLimits, WARM_C,
+    COMMAND_TIMEOUT_US, HOT_C, HYSTERESIS_C, JUMP_MARGIN, MEASUREMENT_TIMEOUT_US, SafetyLimits,
+    WARM_C,
 };
 pub use reason::{SafetyReason, SafetyState, SafetyStatus};
 pub use task_check_in::{Task, TaskCheckIn};

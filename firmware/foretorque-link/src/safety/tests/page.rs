@@ -35,7 +35,7 @@ fn every_limit_and_time_of_the_page_is_that_of_the_code() {
     );
     assert_eq!((text(effort), limits.torque[0]), ("3".into(), arm.torque));
     let speed = text(limits.step_per_tick[0] * 1e3 / arm.velocity);
-    let margin = text(limits.jump_margin);
+    let margin = text(JUMP_MARGIN);
     let jump = format!("{speed} times …, and {margin} rad that a faster motion");
     assert_eq!(limits.brake_ticks, 0);
     assert_eq!(limits.with_brake(20_000, 1000).brake_ticks, 21);
