@@ -139,8 +139,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("correlation_s", self.correlation_s),
             ("process_noise", self.process_noise),
             ("torque_step", self.torque_step),
-            ("network.clip_sigmas", self.network.clip_sigmas),
-            ("network.memory_rows", self.network.memory_rows),
+            ("clip_sigmas", self.network.clip_sigmas),
+            ("memory_rows", self.network.memory_rows),
         ])?;
         if self.decimation as usize > N {
             return Err(ConfigError::TooLarge("decimation"));
@@ -153,10 +153,10 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             return Err(ConfigError::NotPositive("sigma.friction"));
         }
         if !(0.0..1.0).contains(&self.network.output_sigma) {
-            return Err(ConfigError::RateOutOfRange("network.output_sigma"));
+            return Err(ConfigError::RateOutOfRange("output_sigma"));
         }
         if !(0.0..1.0).contains(&self.network.hidden_rate) {
-            return Err(ConfigError::RateOutOfRange("network.hidden_rate"));
+            return Err(ConfigError::RateOutOfRange("hidden_rate"));
         }
         self.supervisor.validate()
     }

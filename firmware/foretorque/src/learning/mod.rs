@@ -53,7 +53,7 @@
 //! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6). While healthy
 //!   it runs in windows of at most 3 s and finds payloads (2, 8) that stay below the CUSUM of every joint. A payload that
 //!   makes the torque worse for 1.5 s is released (8).
-//! * relearning: the variance of friction is raised; the torque stays as it is.
+//! * relearning: the variance of friction is raised; the learnt set stays, the shares move on new evidence.
 //!
 //! A saturated torque, an unbridged gap or a number that is not finite freezes learning in every state (13 to 15); it
 //! resumes one length of the motion filter, 62 ms, after the last cause (17).

@@ -42,7 +42,7 @@ impl<const N: usize> LearntShare<N> {
 
 /// Values at `share` of the way from `from` to the present ones.
 #[inline(never)]
-fn blend(from: &[f32], values: &mut [f32], share: f32) {
+pub(super) fn blend(from: &[f32], values: &mut [f32], share: f32) {
     if share != 1.0 {
         for (value, from) in values.iter_mut().zip(from) {
             *value = from + share * (*value - from);
@@ -67,7 +67,8 @@ struct JointEvidence {
     cross: f32,
     /// Σ d²
     power: f32,
-    rows: u32,
+    /// Rows in the sums, as far as the memory reaches.
+    rows: f32,
     /// Range of the velocity, negative and positive, rad/s.
     velocity: [f32; 2],
     /// Range of the torque of the loaded set.
@@ -78,10 +79,18 @@ impl JointEvidence {
     const NONE: Self = Self {
         cross: 0.0,
         power: 0.0,
-        rows: 0,
+        rows: 0.0,
         velocity: [0.0; 2],
         load: [0.0; 2],
     };
+
+    // Called for each joint, in place of six copies.
+    #[inline(never)]
+    fn fade(&mut self, part: f32) {
+        self.cross *= part;
+        self.power *= part;
+        self.rows *= part;
+    }
 }
 
 /// Widens a range to `value`, by a step at most; its old size over the new one on that side.
@@ -133,14 +142,14 @@ impl<const N: usize> ShareEvidence<N> {
     /// Add a row of `joint` at the velocity `qd`, rad/s; a row that is not finite is ignored.
     ///
     /// * `measured`, `loaded` torques      * `residual` of the estimate      * `sigma` standard deviation of the measurement
-    /// * `fade` factor on the sums of the joint
+    /// * `memory` of the sums of a joint, rows
     pub(super) fn add_row(
         &mut self,
         joint: usize,
         qd: f32,
         [measured, loaded, residual]: [f32; 3],
         sigma: f32,
-        fade: f32,
+        memory: f32,
     ) {
         let Some(own) = self.joints.get_mut(joint) else {
             return;
@@ -154,21 +163,20 @@ impl<const N: usize> ShareEvidence<N> {
             return;
         }
         let growth = widen(&mut own.velocity, qd) * widen(&mut own.load, loaded);
-        let kept = fade.min(own.rows as f32 / (own.rows as f32 + 1.0)) * growth;
+        let rows = own.rows + 1.0;
+        let kept = own.rows / rows * growth;
         own.cross = kept * own.cross + product;
         own.power = kept * own.power + weight * change * change;
-        own.rows = own.rows.saturating_add(1);
+        own.rows = rows.min(memory);
         // As long a memory, over the rows of all joints.
         let both = measured + loaded;
         let agrees = (1.0 - REVERSED) * measured * loaded + 0.5 * REVERSED * both * both;
-        self.agreement += (fade - 1.0) / N as f32 * self.agreement + agrees;
+        self.agreement += agrees - self.agreement / (memory * N as f32);
     }
 
-    /// Number of rows of all joints.
-    #[inline(never)]
-    pub(super) fn rows(&self) -> u32 {
-        let rows = self.joints.iter().map(|own| own.rows);
-        rows.fold(0, u32::saturating_add)
+    /// Let all rows so far count as `part` of them: those to come decide soon.
+    pub(super) fn fade(&mut self, part: f32) {
+        self.joints.iter_mut().for_each(|own| own.fade(part));
     }
 
     /// True if the measured torques oppose those of the loaded set: sensors or drives have the wrong sign.
@@ -209,7 +217,7 @@ impl<const N: usize> ShareEvidence<N> {
 mod tests {
     use super::*;
 
-    const FADE: f32 = 1.0 - 1.0 / 1667.0;
+    const MEMORY: f32 = 1667.0;
     const SIGMA: f32 = 0.01;
     const NOISE: f32 = 9.0 * SIGMA * SIGMA;
     const QD: f32 = 0.01;
@@ -225,7 +233,7 @@ mod tests {
             let wave = (0.05 * row as f32).sin();
             let (loaded, wanted) = (0.3, 0.3 + missing * wave + noise);
             let residual = wanted - loaded - change * wave;
-            evidence.add_row(0, QD, [wanted, loaded, residual], SIGMA, FADE);
+            evidence.add_row(0, QD, [wanted, loaded, residual], SIGMA, MEMORY);
         }
         evidence.share(0, NOISE)
     }
@@ -249,7 +257,7 @@ mod tests {
             let mut evidence = none();
             after(&mut evidence, 4000, 0.1, 0.1);
             for _ in 0..170 {
-                evidence.add_row(0, qd, [loaded, loaded, -0.1], SIGMA, FADE);
+                evidence.add_row(0, qd, [loaded, loaded, -0.1], SIGMA, MEMORY);
             }
             evidence.share(0, NOISE)
         };
@@ -265,7 +273,7 @@ mod tests {
         evidence.joints[0].load = [0.5; 2];
         after(&mut evidence, 4000, 0.1, 0.1);
         let before = evidence.joints[0].power;
-        evidence.add_row(0, 1e6, [0.3, 0.3, 0.0], SIGMA, FADE);
+        evidence.add_row(0, 1e6, [0.3, 0.3, 0.0], SIGMA, MEMORY);
         assert!(evidence.joints[0].power > 0.95 * before);
     }
 
@@ -288,18 +296,18 @@ mod tests {
     #[test]
     fn reversed_torques_and_bad_numbers_get_nothing() {
         let mut evidence = ShareEvidence::<2>::NONE;
-        evidence.add_row(0, QD, [f32::NAN, 1.0, 1.0], SIGMA, FADE);
-        evidence.add_row(0, QD, [1.0, f32::INFINITY, 1.0], SIGMA, FADE);
-        evidence.add_row(0, f32::NAN, [1.0, 1.0, 1.0], SIGMA, FADE);
+        evidence.add_row(0, QD, [f32::NAN, 1.0, 1.0], SIGMA, MEMORY);
+        evidence.add_row(0, QD, [1.0, f32::INFINITY, 1.0], SIGMA, MEMORY);
+        evidence.add_row(0, f32::NAN, [1.0, 1.0, 1.0], SIGMA, MEMORY);
         assert_eq!(evidence, ShareEvidence::NONE);
-        (0..2000).for_each(|_| evidence.add_row(0, QD, [-0.5, 0.5, 0.0], SIGMA, FADE));
+        (0..2000).for_each(|_| evidence.add_row(0, QD, [-0.5, 0.5, 0.0], SIGMA, MEMORY));
         assert_eq!(evidence.share(0, NOISE), 0.0);
         assert!(evidence.is_reversed());
         // Friction against a set that has next to nothing, whose sign is chance.
         let mut evidence = ShareEvidence::<2>::NONE;
         for row in 0..2000 {
             let across = if row % 2 == 0 { 0.3 } else { -0.3 };
-            evidence.add_row(0, QD, [across - 0.01, 1e-3, 0.0], SIGMA, FADE);
+            evidence.add_row(0, QD, [across - 0.01, 1e-3, 0.0], SIGMA, MEMORY);
         }
         assert!(!evidence.is_reversed());
     }

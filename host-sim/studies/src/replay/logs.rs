@@ -55,6 +55,8 @@ pub(super) struct Row<const N: usize> {
 pub(super) struct Stretch<const N: usize> {
     /// Which path it is of.
     pub(super) path: usize,
+    /// Time of the first row, s.
+    start_s: f64,
     pub(super) rows: Vec<Row<N>>,
     pub(super) preparation: Preparation,
 }
@@ -132,6 +134,7 @@ pub(super) fn read<const N: usize>(
             });
             stretches.push(Stretch {
                 path: number,
+                start_s: stretch.t_s[stretch.core.start],
                 rows: rows.collect(),
                 preparation,
             });
@@ -323,10 +326,9 @@ impl<const N: usize> Scores<N> {
             if ratio.is_finite() && self.worst_window.is_none_or(worse) {
                 let excess = |joint: &usize| newest[*joint] - start[*joint];
                 let most = (0..N).max_by(|a, b| excess(a).total_cmp(&excess(b)));
-                let preparation = &stretch.preparation;
                 self.worst_window = Some(WorstWindow {
                     ratio,
-                    from_s: preparation.start_s + begin as f64 * preparation.period_s,
+                    from_s: stretch.start_s + begin as f64 * stretch.preparation.period_s,
                     joint: most.unwrap_or_default() + 1,
                 });
             }

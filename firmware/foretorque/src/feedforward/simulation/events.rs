@@ -233,6 +233,27 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
 }
 
 #[test]
+fn a_lasting_force_that_was_learnt_is_out_of_the_torque_soon_after_its_end() {
+    let mut cell = Cell::settled();
+    let sound = *cell.board.active();
+    let board = &mut cell.board;
+    board.feedforward.load(sound, &mut board.exchange);
+    cell.plant.push[2] = 30.0;
+    cell.steps(25_000);
+    assert!(cell.board.learner.state().share().joint[2] > 0.5);
+    cell.decisions();
+    cell.plant.push[2] = 0.0;
+    let wrong = (0..8000).filter(|_| {
+        let (sample, torque) = cell.step();
+        cell.error(&sample, &torque) > 0.05
+    });
+    // The payload test lasts 3 s, relearning 5 s.
+    let wrong = wrong.count();
+    assert!(wrong < 4000, "{wrong} ticks");
+    assert!(has(&cell.decisions(), Reason::Alarm));
+}
+
+#[test]
 fn a_board_of_one_joint_hears_what_happens_to_that_joint_and_to_no_other() {
     let mut cell = Cell::learnt(|board| board.learner.learn_only(1));
     let heard = |cell: &mut Cell, joint: usize, push: f64| {

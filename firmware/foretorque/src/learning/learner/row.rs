@@ -189,10 +189,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let older = columns.friction_dot(joint, older) + columns.rigid_dot(older);
         let torques = [tau, loaded, tau - older];
         let torques = torques.map(|torque| torque * inv_limit);
-        let memory = self.config.supervisor.share_memory_s * self.config.inv_period;
-        let fade = 1.0 - N as f32 / memory;
+        let memory_s = self.config.supervisor.share_memory_s;
+        let memory = memory_s * self.config.inv_period / N as f32;
         let evidence = &mut state.supervisor.learnt.evidence;
-        evidence.add_row(joint, row.qd, torques, sigma, fade);
+        evidence.add_row(joint, row.qd, torques, sigma, memory);
+        increment(&mut state.supervisor.rows);
         grow(&mut self.state.range, &sample.motion.qd, &sample.motion.qdd);
         RowOutcome::Accepted
     }

@@ -295,7 +295,7 @@ fn an_invalid_configuration_is_refused() {
     assert_eq!(good.validate(), Ok(()));
     let not_positive = Err(ConfigError::NotPositive("sigma.rigid"));
     assert_eq!(sigma.validate(), not_positive);
-    let out_of_range = Err(ConfigError::RateOutOfRange("network.hidden_rate"));
+    let out_of_range = Err(ConfigError::RateOutOfRange("hidden_rate"));
     assert_eq!(rate.validate(), out_of_range);
     let mut decimation = good;
     decimation.decimation = N as u32 + 1;

@@ -10,6 +10,7 @@ use crate::learning::decision::Reason;
 use crate::learning::exchange::{LearningSample, Request};
 use crate::learning::payload::{NO_PAYLOAD, payload_estimate};
 use crate::learning::quality::{PayloadEstimate, Phase};
+use crate::learning::shares::blend;
 use crate::learning::supervisor::Checkpoint;
 use crate::learning::supervisor::payload_test::{PayloadBenefit, PayloadDecision};
 use crate::learning::supervisor::step::{Action, Evidence, Round, step};
@@ -74,8 +75,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         match decided.action {
             Action::None => return,
-            Action::Follow { commit } => {
-                self.follow();
+            Action::Follow { set, commit } => {
+                self.follow(set);
                 self.state.commit_due |= commit;
                 return;
             }
@@ -108,6 +109,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             Action::Release => state.release_payload(),
             Action::Relearn => {
                 state.supervisor.next_raised = 0;
+                // As much as one block of correlated rows.
+                let memory_s = self.config.supervisor.share_memory_s;
+                let evidence = &mut state.supervisor.learnt.evidence;
+                evidence.fade(self.config.correlation_s / memory_s);
                 state.record(tick, Reason::Relearning, None, 0.0);
             }
             Action::Resume => {}
@@ -176,7 +181,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             let supervisor = &self.state.supervisor;
             let learnt = &supervisor.learnt.evidence;
             // In the first moments, friction that the loaded set lacks may oppose its torques.
-            let known = learnt.rows() >= self.config.supervisor.training_rows;
+            let known = supervisor.rows >= self.config.supervisor.training_rows;
             let evidence = Evidence::Round(Round {
                 ticks: N as u32,
                 share: learnt.common(&shares),
@@ -196,11 +201,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         state.closed_round = Some(tick);
     }
 
-    /// Move the learnt set towards the estimate and the shares towards their evidence, so that no joint's torque changes by
-    /// more than `torque_step`.
+    /// Move the shares towards their evidence, and with `moves_set` the learnt set towards the estimate, so that no joint's
+    /// torque changes by more than `torque_step`.
     ///
     /// Torque is linear in the set and in the share, so a part of the way is at most the same part of the torque step.
-    fn follow(&mut self) {
+    fn follow(&mut self, moves_set: bool) {
         let shares = self.shares();
         let state = &mut self.state;
         let mut largest = 0.0;
@@ -213,19 +218,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
         }
         let learnt = &mut state.supervisor.learnt;
-        if largest <= self.config.torque_step {
-            learnt.set = *state.estimate.parameters();
-            learnt.share.joint = shares;
+        // Part of the way that is left.
+        let rest = if largest > self.config.torque_step {
+            1.0 - self.config.torque_step / largest
         } else {
-            let part = self.config.torque_step / largest;
-            let estimate = state.estimate.parameters();
-            for (learnt, estimate) in learnt.set.parts_mut().into_iter().zip(estimate.parts()) {
-                for (learnt, estimate) in learnt.iter_mut().zip(estimate) {
-                    *learnt += part * (estimate - *learnt);
-                }
-            }
-            for (share, wanted) in learnt.share.joint.iter_mut().zip(shares) {
-                *share += part * (wanted - *share);
+            0.0
+        };
+        blend(&shares, &mut learnt.share.joint, rest);
+        if moves_set {
+            let estimate = state.estimate.parameters().parts();
+            for (learnt, estimate) in learnt.set.parts_mut().into_iter().zip(estimate) {
+                blend(estimate, learnt, rest);
             }
         }
         learnt.share.rigid = learnt.evidence.common(&learnt.share.joint);

@@ -69,8 +69,8 @@ pub(crate) struct Round {
 pub(crate) enum Action {
     /// Nothing changes.
     None,
-    /// Move the learnt set and the shares a bounded step; then commit if true.
-    Follow { commit: bool },
+    /// Move the shares a bounded step, with `set` the learnt set, too; then commit if true.
+    Follow { set: bool, commit: bool },
     /// Return to the older checkpoint, and start a payload test.
     TestPayload,
     /// Return to the older checkpoint.
@@ -162,7 +162,8 @@ pub(crate) fn step(
                 state.phase = Phase::Healthy;
                 (Action::Resume, Some((Reason::RelearningEnded, round.share)))
             } else {
-                (Action::None, None)
+                let (set, commit) = (false, false);
+                (Action::Follow { set, commit }, None)
             }
         }
         (Phase::Healthy, Evidence::Round(round)) => follow(config, &mut state, &round),
@@ -200,7 +201,7 @@ fn follow(
         (true, false) => Some((Reason::FollowingEnded, share)),
         _ => None,
     };
-    (Action::Follow { commit }, reason)
+    (Action::Follow { set: true, commit }, reason)
 }
 
 #[cfg(test)]
@@ -325,7 +326,7 @@ mod tests {
             let next = step(&config(), &state, round(share, false, tick < 3000));
             state = next.state;
             reasons.extend(next.reason.map(|(reason, _)| reason));
-            if next.action == (Action::Follow { commit: true }) {
+            if let Action::Follow { commit: true, .. } = next.action {
                 commits.push(tick);
             }
         }
@@ -354,7 +355,11 @@ mod tests {
         while state.phase == Phase::Relearning {
             let next = step(&config(), &state, round(0.5, false, false));
             let over = next.state.phase == Phase::Healthy;
-            let action = if over { Action::Resume } else { Action::None };
+            let shares_alone = Action::Follow {
+                set: false,
+                commit: false,
+            };
+            let action = if over { Action::Resume } else { shares_alone };
             assert_eq!(next.action, action);
             state = next.state;
             rounds += 1;
