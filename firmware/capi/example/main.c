@@ -74,8 +74,13 @@ int main(void)
 		foretorque_learn(arm);
 	}
 
+	/* Your board: tell the operator how far the torque can be trusted, and what is in the hand. */
+	ForetorqueQuality quality;
+	if (foretorque_quality(arm, &quality) != FORETORQUE_STATUS_OK || !(quality.trust <= 1.0f))
+		return 8;
+
 	/* What was learnt is a parameter bank, to be kept and given to foretorque_load_bank at the next start. */
-	static uint8_t bank[4096];
+	static uint8_t bank[FORETORQUE_BANK_BYTES];
 	size_t length = 0;
 	foretorque_set_learning(arm, 0);
 	if (foretorque_save_bank(arm, bank, sizeof bank, &length) != FORETORQUE_STATUS_OK)

@@ -11,6 +11,9 @@
 // Joints of the arm that this library was built for.
 #define FORETORQUE_JOINTS 6
 
+// Bytes of a buffer that is large enough for every bank.
+#define FORETORQUE_BANK_BYTES 4096
+
 // Result of a call.
 enum ForetorqueStatus
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -39,6 +42,12 @@ enum ForetorqueStatus
   FORETORQUE_STATUS_BRAKE = 9,
   // The arm has no such joint; the first is 0.
   FORETORQUE_STATUS_JOINT = 10,
+  // There is no such request.
+  FORETORQUE_STATUS_REQUEST = 11,
+  // The request before still waits for the next tick and `foretorque_learn`.
+  FORETORQUE_STATUS_PENDING = 12,
+  // This decision is not made yet, or no longer kept.
+  FORETORQUE_STATUS_NO_DECISION = 13,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -50,6 +59,42 @@ typedef int32_t ForetorqueStatus;
 
 // Feed-forward, safety and learner of one arm. Opaque: C has a pointer into its own memory.
 typedef struct Foretorque Foretorque;
+
+// Quality of the model over the last seconds in motion, and the payload.
+typedef struct ForetorqueQuality {
+  // RMS error of the torque, as a part of the joint's torque limit.
+  float residual_rms[FORETORQUE_JOINTS];
+  // RMS of the shares of rigid body, friction and network, as parts of the torque limit.
+  float share_rms[3];
+  // Part of the prior variance that measurements have removed, 0 to 1.
+  float information;
+  // Trust in the torque, 0 to 1; 1 until the arm has moved.
+  float trust;
+  // Mass of the payload, kg; 0 without one.
+  float payload_kg;
+  // Standard deviation of the mass, kg.
+  float payload_sigma_kg;
+  // Centre of mass of the payload in the frame of the last link, m.
+  float payload_com_m[3];
+  // Number of decisions so far.
+  uint32_t decisions;
+  // 1 while the trust is low.
+  uint8_t low_trust;
+  // State of the learner: 0 healthy, 1 payload test, 2 relearning, 3 stopped.
+  uint8_t phase;
+} ForetorqueQuality;
+
+// Decision of the learner.
+typedef struct ForetorqueDecision {
+  // Tick.
+  uint32_t tick;
+  // Figure that docs/learning.md names for the reason.
+  float figure;
+  // Reason code of docs/learning.md.
+  uint8_t reason;
+  // Joint that caused it, from 0; 255 if it concerns the arm.
+  uint8_t joint;
+} ForetorqueDecision;
 
 // Input of one tick.
 typedef struct ForetorqueSample {
@@ -140,7 +185,8 @@ ForetorqueStatus foretorque_init(void *memory, uintptr_t size, float period_s, s
 // `it` comes from `foretorque_init`, and no other call on it is under way; `bytes` points to `length` bytes.
 ForetorqueStatus foretorque_load_bank(struct Foretorque *it, const uint8_t *bytes, uintptr_t length);
 
-// Writes the bank in force, what was learnt included, into `buffer` of `size` bytes, and its length into `length`.
+// Writes the bank in force, what was learnt included, into `buffer` of `size` bytes, and its length into `length`. A buffer of
+// `FORETORQUE_BANK_BYTES` is always large enough.
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way; `buffer` points to `size` bytes; `length` may be
@@ -156,8 +202,32 @@ ForetorqueStatus foretorque_save_bank(struct Foretorque *it,
 // `it` comes from `foretorque_init`, and no other call on it is under way.
 ForetorqueStatus foretorque_set_learning(struct Foretorque *it, uint8_t on);
 
+// Asks the learner for what docs/learning.md describes, from the next tick on: 1 takes a snapshot, 2 returns to it, 3 commits
+// what is learnt, 4 sets the payload to zero. What came of it is a decision. `Pending` while the request before still waits.
+//
+// # Safety
+// `it` comes from `foretorque_init`, and no other call on it is under way.
+ForetorqueStatus foretorque_request(struct Foretorque *it,
+                                    uint8_t request);
+
+// Writes the quality of the model and the payload.
+//
+// # Safety
+// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
+ForetorqueStatus foretorque_quality(struct Foretorque *it, struct ForetorqueQuality *out);
+
+// Writes the decision of the learner with the number `number`, counted from 0. `NoDecision` if it is not made yet, or is no
+// longer among the newest eight; `ForetorqueQuality` has how many there are.
+//
+// # Safety
+// As those of `foretorque_quality`.
+ForetorqueStatus foretorque_decision(struct Foretorque *it,
+                                     uint32_t number,
+                                     struct ForetorqueDecision *out);
+
 // Runs one tick without the safety: its torque is for a caller that has a safety of its own. `sample` may be null: then none
-// came, and the torque is held for 10 ms and goes to zero after that.
+// came, and the torque is held for 10 ms and goes to zero after that. The time of `foretorque_tick` does not pass: use one of
+// both.
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured

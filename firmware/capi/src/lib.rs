@@ -22,7 +22,7 @@ use foretorque::arm::ur5::{
 };
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointSample, JointVector};
-use foretorque::learning::LearningSample;
+use foretorque::learning::{LearningSample, Request};
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::{Safety, SafetyLimits, SafetyReason};
 use foretorque_link::wire::Configuration;
@@ -33,6 +33,10 @@ use panic_never as _;
 // A literal, because the generator of the header evaluates nothing.
 pub const FORETORQUE_JOINTS: usize = 6;
 
+/// Bytes of a buffer that is large enough for every bank.
+pub const FORETORQUE_BANK_BYTES: usize = 4096;
+
+const _: () = assert!(ParameterBank::MAX_BYTES <= FORETORQUE_BANK_BYTES);
 const _: () = assert!(
     FORETORQUE_JOINTS == JOINTS,
     "set FORETORQUE_JOINTS to the joints of the arm, and write the header by `cargo xtask capi`"
@@ -223,7 +227,8 @@ pub unsafe extern "C" fn foretorque_load_bank(
     }
 }
 
-/// Writes the bank in force, what was learnt included, into `buffer` of `size` bytes, and its length into `length`.
+/// Writes the bank in force, what was learnt included, into `buffer` of `size` bytes, and its length into `length`. A buffer of
+/// `FORETORQUE_BANK_BYTES` is always large enough.
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `buffer` points to `size` bytes; `length` may be
@@ -267,8 +272,74 @@ pub unsafe extern "C" fn foretorque_set_learning(it: *mut Foretorque, on: u8) ->
     unsafe { act(it, |it| it.feed_forward.set_learning(on != 0)) }
 }
 
+/// Asks the learner for what docs/learning.md describes, from the next tick on: 1 takes a snapshot, 2 returns to it, 3 commits
+/// what is learnt, 4 sets the payload to zero. What came of it is a decision. `Pending` while the request before still waits.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_request(it: *mut Foretorque, request: u8) -> ForetorqueStatus {
+    // An emergency stop is `foretorque_stop`.
+    let request = Request::from_code(request).filter(|request| *request != Request::Stop);
+    let Some(request) = request else {
+        return ForetorqueStatus::Request;
+    };
+    let mut asked = Ok(());
+    let ask = |it: &mut Foretorque| asked = it.feed_forward.request(request, &mut it.exchange);
+    // SAFETY: as the caller promises.
+    let status = unsafe { act(it, ask) };
+    asked.map_or(ForetorqueStatus::Pending, |()| status)
+}
+
+/// Writes the quality of the model and the payload.
+///
+/// # Safety
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_quality(
+    it: *mut Foretorque,
+    out: *mut ForetorqueQuality,
+) -> ForetorqueStatus {
+    let quality = |it: &mut Foretorque| {
+        let report = &it.feed_forward.state().report;
+        ForetorqueQuality::new(&report.quality, report.decisions.count())
+    };
+    // SAFETY: as the caller promises.
+    unsafe { answer(it, out, quality) }
+}
+
+/// Writes the decision of the learner with the number `number`, counted from 0. `NoDecision` if it is not made yet, or is no
+/// longer among the newest eight; `ForetorqueQuality` has how many there are.
+///
+/// # Safety
+/// As those of `foretorque_quality`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn foretorque_decision(
+    it: *mut Foretorque,
+    number: u32,
+    out: *mut ForetorqueDecision,
+) -> ForetorqueStatus {
+    if out.is_null() {
+        return ForetorqueStatus::Null;
+    }
+    let mut found = None;
+    let find = |it: &mut Foretorque| found = it.feed_forward.state().report.decisions.get(number);
+    // SAFETY: as the caller promises.
+    let status = unsafe { act(it, find) };
+    match found {
+        Some(decision) => {
+            // SAFETY: not null, and may be written.
+            unsafe { out.write(decision.into()) };
+            status
+        }
+        None if status == ForetorqueStatus::Ok => ForetorqueStatus::NoDecision,
+        None => status,
+    }
+}
+
 /// Runs one tick without the safety: its torque is for a caller that has a safety of its own. `sample` may be null: then none
-/// came, and the torque is held for 10 ms and goes to zero after that.
+/// came, and the torque is held for 10 ms and goes to zero after that. The time of `foretorque_tick` does not pass: use one of
+/// both.
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured

@@ -1,6 +1,7 @@
 //! Types that pass between C and the library.
 
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
+use foretorque::learning::{Decision, ModelQuality};
 
 use crate::{FORETORQUE_JOINTS, JOINTS};
 
@@ -30,6 +31,12 @@ pub enum ForetorqueStatus {
     Brake = 9,
     /// The arm has no such joint; the first is 0.
     Joint = 10,
+    /// There is no such request.
+    Request = 11,
+    /// The request before still waits for the next tick and `foretorque_learn`.
+    Pending = 12,
+    /// This decision is not made yet, or no longer kept.
+    NoDecision = 13,
 }
 
 /// Input of one tick.
@@ -121,4 +128,72 @@ pub struct ForetorqueLimits {
     pub timeout_ticks: u32,
     /// Ticks without a plausible measurement after which the torque ends.
     pub measurement_ticks: u32,
+}
+
+/// Quality of the model over the last seconds in motion, and the payload.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForetorqueQuality {
+    /// RMS error of the torque, as a part of the joint's torque limit.
+    pub residual_rms: [f32; FORETORQUE_JOINTS],
+    /// RMS of the shares of rigid body, friction and network, as parts of the torque limit.
+    pub share_rms: [f32; 3],
+    /// Part of the prior variance that measurements have removed, 0 to 1.
+    pub information: f32,
+    /// Trust in the torque, 0 to 1; 1 until the arm has moved.
+    pub trust: f32,
+    /// Mass of the payload, kg; 0 without one.
+    pub payload_kg: f32,
+    /// Standard deviation of the mass, kg.
+    pub payload_sigma_kg: f32,
+    /// Centre of mass of the payload in the frame of the last link, m.
+    pub payload_com_m: [f32; 3],
+    /// Number of decisions so far.
+    pub decisions: u32,
+    /// 1 while the trust is low.
+    pub low_trust: u8,
+    /// State of the learner: 0 healthy, 1 payload test, 2 relearning, 3 stopped.
+    pub phase: u8,
+}
+
+impl ForetorqueQuality {
+    pub(crate) fn new(quality: &ModelQuality<JOINTS>, decisions: u32) -> Self {
+        Self {
+            residual_rms: quality.residual_rms,
+            share_rms: quality.share_rms,
+            information: quality.information,
+            trust: quality.trust,
+            payload_kg: quality.payload.mass,
+            payload_sigma_kg: quality.payload.mass_sigma,
+            payload_com_m: quality.payload.com,
+            decisions,
+            low_trust: quality.low_trust.into(),
+            phase: quality.phase as u8,
+        }
+    }
+}
+
+/// Decision of the learner.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForetorqueDecision {
+    /// Tick.
+    pub tick: u32,
+    /// Figure that docs/learning.md names for the reason.
+    pub figure: f32,
+    /// Reason code of docs/learning.md.
+    pub reason: u8,
+    /// Joint that caused it, from 0; 255 if it concerns the arm.
+    pub joint: u8,
+}
+
+impl From<Decision> for ForetorqueDecision {
+    fn from(decision: Decision) -> Self {
+        Self {
+            tick: decision.tick,
+            figure: decision.figure,
+            reason: decision.reason as u8,
+            joint: decision.joint.unwrap_or(u8::MAX),
+        }
+    }
 }

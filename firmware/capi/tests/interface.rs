@@ -3,6 +3,7 @@
 //!
 //! `cargo xtask test` builds the C program first, `cargo xtask capi` does so alone.
 
+use foretorque::learning::Reason;
 use foretorque_capi::*;
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::safety::{SafetyReason, SafetyState};
@@ -117,7 +118,7 @@ impl Program {
 
     /// Bytes of the bank in force.
     fn bank(&self) -> Vec<u8> {
-        let (mut bank, mut length) = (vec![0_u8; 4096], 0);
+        let (mut bank, mut length) = (vec![0_u8; FORETORQUE_BANK_BYTES], 0);
         // SAFETY: `it` lives; every other pointer is to a variable.
         let saved = unsafe {
             foretorque_save_bank(self.it, bank.as_mut_ptr(), bank.len(), &raw mut length)
@@ -271,6 +272,59 @@ fn an_emergency_stop_ends_learning_too() {
     }
 }
 
+#[test]
+fn the_learner_tells_its_state_and_takes_requests() {
+    use ForetorqueStatus::{NoDecision, Null, Ok, Pending, Request};
+    let mut program = Program::new();
+    let fresh = program.written(foretorque_quality);
+    assert_eq!(
+        (fresh.trust, fresh.payload_kg, fresh.decisions),
+        (1.0, 0.0, 0)
+    );
+    let it = program.it;
+    // SAFETY: `it` lives in all these calls.
+    unsafe {
+        foretorque_set_learning(it, 1);
+        (0..1000).for_each(|tick| program.swing(tick));
+        for (request, wanted) in [
+            (0, Request),
+            (5, Request),
+            (6, Request),
+            (1, Ok),
+            (2, Pending),
+        ] {
+            assert_eq!(foretorque_request(it, request), wanted, "{request}");
+        }
+        assert_eq!(foretorque_request(ptr::null_mut(), 1), Null);
+        (1000..1100).for_each(|tick| program.swing(tick));
+        assert_eq!(foretorque_request(it, 2), Ok);
+        (1100..1200).for_each(|tick| program.swing(tick));
+    }
+    let quality = program.written(foretorque_quality);
+    assert!(quality.residual_rms[1] > 0.0 && quality.information > 0.0);
+    let read = |number| {
+        let mut out = MaybeUninit::uninit();
+        // SAFETY: `it` lives; written before it is read.
+        unsafe {
+            match foretorque_decision(it, number, out.as_mut_ptr()) {
+                Ok => Some(out.assume_init()),
+                status => {
+                    assert_eq!(status, NoDecision);
+                    None
+                }
+            }
+        }
+    };
+    let made: Vec<_> = (0..quality.decisions).filter_map(read).collect();
+    for reason in [Reason::SnapshotTaken, Reason::RolledBack] {
+        let made = made.iter().find(|made| made.reason == reason as u8);
+        assert_eq!(made.map(|made| made.joint), Some(255), "{reason:?}");
+    }
+    assert!(read(quality.decisions).is_none());
+    // SAFETY: null is what is tried.
+    assert_eq!(unsafe { foretorque_decision(it, 0, ptr::null_mut()) }, Null);
+}
+
 /// The numbers of main.c.
 struct Numbers(u32);
 
@@ -306,7 +360,7 @@ fn native() -> Vec<String> {
     let mut torque = ForetorqueTorque::default();
     let mut numbers = Numbers(1);
     let mut lines = Vec::new();
-    let (mut bank, mut length) = ([0_u8; 4096], 0);
+    let (mut bank, mut length) = ([0_u8; FORETORQUE_BANK_BYTES], 0);
     // SAFETY: `it` lives; every other pointer is to a variable above.
     unsafe {
         foretorque_set_learning(it, 1);
