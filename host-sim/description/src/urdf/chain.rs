@@ -26,11 +26,9 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         None => tree.only_path(base)?,
     };
     let tip = path.last().map_or(base, |&joint| tree.child[joint]);
-    let end = selection.tip.map(|_| tip);
     if selection.weld {
         tree.weld(&path);
     }
-    let end = end.filter(|_| !selection.weld);
     let of_joint = |index: usize, problem: String| {
         format!("joint '{}' {problem}", document.joints[index].name)
     };
@@ -55,7 +53,8 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
     if moving == 0 {
         return Err("no moving joint between base and tip".to_owned());
     }
-    let mut notes = tree.left_out(base, &path, end);
+    let mut notes = tree.left_out(base, &path);
+    notes.extend(selection.tip.and_then(|_| tree.bolted_behind(tip)));
     notes.extend(document.notes.iter().cloned());
     let tip_name = &document.links[tip].name;
     if !notes.is_empty() {
@@ -81,7 +80,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         let of_joint = |problem: String| of_joint(index, problem);
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
-        let link = tree.lumped(index, &link_frame, end, selection, &mut notes)?;
+        let link = tree.lumped(index, &link_frame, selection, &mut notes)?;
         joints.push(Joint {
             name: element.name.clone(),
             placement: joint_frame.then(&turn).snapped(),

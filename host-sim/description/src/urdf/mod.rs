@@ -2,8 +2,8 @@
 //!
 //! Both are a tree of links; the arm is one path in it, from a base link to a tip link. Joint frames of a URDF are
 //! Craig link frames when the joint axis is z; other axes are turned onto z here, without moving the joint's zero.
-//! Everything bolted to a moving link by fixed joints becomes part of that link. What hangs on the tip link, and what
-//! moves beside the path, is left out unless it is welded, and listed in [`Import::notes`].
+//! Everything bolted to a moving link by fixed joints becomes part of that link, behind the tip too. What moves beside the
+//! path or behind the tip is left out unless it is welded, and listed with its mass in [`Import::notes`].
 //!
 //! A URDF has no drives, and its friction model is viscous plus Coulomb: rotor inertia is 0, the gain is
 //! not known. The base frame is that of the base link, gravity along −z of the root.

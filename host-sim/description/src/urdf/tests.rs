@@ -42,6 +42,13 @@ fn refusal(text: &str, selection: &Selection<'_>) -> String {
     parse("t", text, selection).unwrap_err().to_string()
 }
 
+/// A link with a mass, kg, and [`TENSOR`].
+fn body(name: &str, mass: f64) -> String {
+    format!(
+        r#"<link name="{name}"><inertial><mass value="{mass}"/><inertia {TENSOR}/></inertial></link>"#
+    )
+}
+
 /// [`ARM`] with another text from `start` up to `end`.
 fn with(text: &str, start: &str, end: &str) -> String {
     let [start, end] = [start, end].map(|part| ARM.find(part).unwrap());
@@ -135,22 +142,48 @@ fn a_point_of_mass_may_be_bolted_on_but_not_be_a_link() {
 }
 
 #[test]
-fn a_tip_cuts_off_its_children_with_a_note() {
+fn a_tip_cuts_off_what_moves_behind_it_with_its_mass_in_a_note() {
     let import = parse("t", ARM, &between(Some("base"), Some("fore"))).unwrap();
-    assert_eq!(import.robot.joints[1].link.mass, 1.0);
+    // The hand is bolted on.
+    assert_eq!(import.robot.joints[1].link, to_hand(ARM).joints[1].link);
+    let behind = "link 'fore' carries 0.500 kg on fixed joints, part of the arm";
+    assert!(import.begins(behind), "{:?}", import.notes);
     // The base frame is that of the base link, not of the world it stands in.
     let origin = import.robot.joints[0].placement.origin;
     assert_eq!(origin, Vector3::new(0.0, 0.0, 0.5));
-    let left_out = "left out: link 'hand' on joint 'wrist' and all it carries";
-    assert!(import.has(left_out), "{:?}", import.notes);
-    let whole = parse("t", ARM, &TO_HAND).unwrap();
+    let heavy = ARM.replace(r#"<link name="left"/>"#, &body("left", 0.1));
+    let whole = parse("t", &heavy, &TO_HAND).unwrap();
     assert_eq!(whole.robot.joints[0].placement.origin.z, 1.5);
-    assert!(!whole.has(left_out));
-    for finger in ["left", "right"] {
+    assert!(!whole.begins("link 'hand' carries"));
+    for (finger, lost) in [("left", ", 0.100 kg (--weld keeps it)"), ("right", "")] {
         let joint = format!("joint '{finger}_finger' and all it carries");
-        let note = format!("left out: link '{finger}' on {joint}");
+        let note = format!("left out: link '{finger}' on {joint}{lost}");
         assert!(whole.has(&note), "{:?}", whole.notes);
     }
+}
+
+#[test]
+fn tips_to_choose_from_are_listed_with_the_mass_they_leave_out() {
+    let mut hand = String::new();
+    for (parent, child, mass) in [
+        ("hand", "a", 0.2),
+        ("a", "b", 0.1),
+        ("hand", "c", 0.25),
+        ("c", "d", 0.125),
+    ] {
+        hand += &format!(
+            r#"<joint name="to_{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/></joint>{}"#,
+            body(child, mass)
+        );
+    }
+    let forked = ARM.replace("</robot>", &format!("{hand}</robot>"));
+    let expected = "t: the tree branches at link 'fore': choose the arm's end with --tip 'b' (leaves out 0.375 kg) or --tip 'd' (leaves out 0.300 kg) or --tip 'fore' (leaves out 0.675 kg); --weld leaves nothing out";
+    assert_eq!(refusal(&forked, &WHOLE), expected);
+    let mut weld = between(None, Some("fore"));
+    weld.weld = true;
+    let welded = parse("t", &forked, &weld).unwrap();
+    let mass = welded.robot.joints[1].link.mass;
+    assert!((mass - 1.5 - 0.675).abs() < 1e-12, "{mass}");
 }
 
 #[test]
@@ -224,6 +257,10 @@ fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
     let expected =
         "t: the tree branches at link 'world': choose the arm's end with --tip 'f' or --tip 'fore'";
     assert_eq!(error, expected);
+    let heavy = torso.replace(r#"<link name="left"/>"#, &body("left", 0.1));
+    let error = refusal(&heavy, &WHOLE);
+    let expected = "--tip 'f' or --tip 'fore' (leaves out 0.100 kg); --weld leaves nothing out";
+    assert!(error.ends_with(expected), "{error}");
     // One branch that branches again.
     let torso = torso.replace("</robot>", r#"
         <joint name="g" type="revolute"><parent link="b"/><child link="h"/></joint><link name="h"/>
@@ -303,9 +340,7 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     assert_eq!(parse("t", ARM, &repair).unwrap().robot, to_hand(ARM));
     let mut weld = WHOLE;
     weld.weld = true;
-    let finger = r#"<link name="left"><inertial><mass value="0.1"/>
-        <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial></link>"#;
-    let fingers = ARM.replace("<link name=\"left\"/>", finger);
+    let fingers = ARM.replace("<link name=\"left\"/>", &body("left", 0.1));
     let welded = parse("t", &fingers, &weld).unwrap();
     assert!((welded.robot.joints[1].link.mass - 1.6).abs() < 1e-12);
     let upper = r#"<link name="upper"/>"#;
@@ -403,8 +438,13 @@ fn what_is_not_an_arm_is_refused_with_one_line() {
     let message = "t: not a URDF or MJCF: <sdf> instead of <robot> or <mujoco>";
     assert_eq!(error, message);
     assert!(refusal("<robot", &to("fore")).starts_with("t: not a URDF or MJCF: "));
-    let fore = r#"<link name="fore"/>"#;
-    let weightless = with(fore, r#"<link name="fore">"#, r#"<joint name="wrist""#);
+    let fore = r#"<link name="fore"/><link name="hand"/>
+        <joint name="wrist" type="fixed"><parent link="fore"/><child link="hand"/></joint>"#;
+    let weightless = with(
+        fore,
+        r#"<link name="fore">"#,
+        r#"<joint name="left_finger""#,
+    );
     let message = "t: link 'fore' is moved by joint 'elbow' but has no inertial data: give such links a mass with --link-mass";
     assert_eq!(refusal(&weightless, &to("fore")), message);
     // Between two joints that no arm can have.

@@ -160,17 +160,20 @@ impl<'a> Tree<'a> {
         Ok(path)
     }
 
+    fn turns(&self, joint: usize) -> bool {
+        let element = &self.document.joints[joint];
+        matches!(element.kind.as_str(), "revolute" | "continuous") && !element.mimic
+    }
+
     /// Turning joints of their own on the longest path that begins with `joint`.
     fn reach(&self, joint: usize) -> usize {
-        let element = &self.document.joints[joint];
-        let turns = matches!(element.kind.as_str(), "revolute" | "continuous") && !element.mimic;
         let next = self.carried[self.child[joint]].iter();
-        usize::from(turns) + next.map(|&joint| self.reach(joint)).max().unwrap_or(0)
+        usize::from(self.turns(joint)) + next.map(|&joint| self.reach(joint)).max().unwrap_or(0)
     }
 
     /// The last link on the longest path that begins with `joint`, before fingers.
     fn farthest(&self, joint: usize) -> usize {
-        let body = self.rigid_body(self.child[joint], Placement::identity(), None);
+        let body = self.rigid_body(self.child[joint], Placement::identity());
         let at_fork = self.moving_joints(&body).count() > 1;
         let next = self.carried[self.child[joint]].iter().copied();
         let next = next.filter(|&joint| self.reach(joint) > 0);
@@ -188,7 +191,7 @@ impl<'a> Tree<'a> {
         let is_called = words
             .iter()
             .any(|word| names.iter().any(|name| name.contains(word)));
-        let body = self.rigid_body(self.child[joint], Placement::identity(), None);
+        let body = self.rigid_body(self.child[joint], Placement::identity());
         let beyond: Vec<usize> = self.moving_joints(&body).collect();
         let is_chain = || beyond.len() == 1 && self.is_finger(beyond[0], true);
         is_called && (beyond.is_empty() || at_fork && is_chain())
@@ -208,11 +211,21 @@ impl<'a> Tree<'a> {
                 _ => {
                     on.sort_by_key(|&joint| std::cmp::Reverse(self.reach(joint)));
                     let tips = on.iter().flat_map(|&joint| self.tips(base, joint));
-                    let tips = tips.map(|link| self.name(link)).collect::<Vec<_>>();
-                    let tips = tips.join("' or --tip '");
+                    let mut tips = tips
+                        .map(|tip| self.tip_option(base, tip))
+                        .collect::<Result<Vec<_>, _>>()?;
+                    let mut mend = "";
+                    if tips.iter().any(|(_, loses)| *loses) {
+                        if self.path_to(base, end)?.iter().any(|&j| self.turns(j)) {
+                            tips.push(self.tip_option(base, end)?);
+                        }
+                        mend = "; --weld leaves nothing out";
+                    }
+                    let tips: Vec<String> = tips.into_iter().map(|(option, _)| option).collect();
+                    let tips = tips.join(" or ");
                     let link = self.name(end);
                     return Err(format!(
-                        "the tree branches at link '{link}': choose the arm's end with --tip '{tips}'"
+                        "the tree branches at link '{link}': choose the arm's end with {tips}{mend}"
                     ));
                 }
             }
@@ -224,9 +237,20 @@ impl<'a> Tree<'a> {
         self.path_to(base, end)
     }
 
+    /// The option for a tip, and whether the arm loses mass by it.
+    fn tip_option(&self, base: usize, tip: usize) -> Result<(String, bool), String> {
+        let beside = self.beside(base, &self.path_to(base, tip)?);
+        let lost: f64 = beside.iter().map(|(_, lost)| lost).sum();
+        let option = format!("--tip '{}'", self.name(tip));
+        Ok(match lost > 5e-4 {
+            true => (format!("{option} (leaves out {lost:.3} kg)"), true),
+            false => (option, false),
+        })
+    }
+
     /// Joints that move what the body of link `end` carries, and those of them that lead on to an arm.
     fn onward(&self, base: usize, end: usize) -> [Vec<usize>; 2] {
-        let body = self.rigid_body(end, Placement::identity(), None);
+        let body = self.rigid_body(end, Placement::identity());
         let moving: Vec<usize> = self.moving_joints(&body).collect();
         let fork = moving.len() > 1;
         let mut on = moving.clone();
@@ -244,20 +268,12 @@ impl<'a> Tree<'a> {
         }
     }
 
-    /// Links that move as one with `link`, which lies at `frame`; nothing beyond the link `end`.
-    fn rigid_body(
-        &self,
-        link: usize,
-        frame: Placement,
-        end: Option<usize>,
-    ) -> Vec<(usize, Placement)> {
+    /// Links that move as one with `link`, which lies at `frame`.
+    fn rigid_body(&self, link: usize, frame: Placement) -> Vec<(usize, Placement)> {
         let mut body = vec![(link, frame)];
         let mut next = 0;
         while let Some(&(link, frame)) = body.get(next) {
             next += 1;
-            if Some(link) == end {
-                continue;
-            }
             let carried = self.carried[link].iter();
             for &joint in carried.filter(|&&joint| self.is_fixed(joint)) {
                 let origin = &self.document.joints[joint].origin;
@@ -278,7 +294,6 @@ impl<'a> Tree<'a> {
         &self,
         joint: usize,
         frame: &Placement,
-        end: Option<usize>,
         selection: &Selection<'_>,
         notes: &mut Vec<String>,
     ) -> Result<Link, String> {
@@ -291,7 +306,7 @@ impl<'a> Tree<'a> {
             ))
         };
         let mut parts = Vec::new();
-        for (link, frame) in self.rigid_body(moved, *frame, end) {
+        for (link, frame) in self.rigid_body(moved, *frame) {
             let Some(mut part) = self.document.links[link].inertial else {
                 continue;
             };
@@ -342,27 +357,54 @@ impl<'a> Tree<'a> {
         }
     }
 
-    /// Description of the parts that do not belong to the arm.
-    pub(super) fn left_out(&self, base: usize, path: &[usize], end: Option<usize>) -> Vec<String> {
+    /// Mass of a link and of all that it carries, kg; with `bolted` of what fixed joints carry alone.
+    fn mass(&self, link: usize, bolted: bool) -> f64 {
+        let own = self.document.links[link].inertial.map_or(0.0, |i| i.mass);
+        let carried = self.carried[link].iter();
+        let carried = carried.filter(|&&joint| !bolted || self.is_fixed(joint));
+        own + carried
+            .map(|&j| self.mass(self.child[j], bolted))
+            .sum::<f64>()
+    }
+
+    /// Moving joints beside the path, and the mass that the arm loses with each, kg: none with those on its base.
+    fn beside(&self, base: usize, path: &[usize]) -> Vec<(usize, f64)> {
         let moved = path.iter().filter(|&&joint| !self.is_fixed(joint));
         let moved = moved.map(|&joint| self.child[joint]);
-        let mut notes = Vec::new();
-        for link in std::iter::once(base).chain(moved) {
-            let body = self.rigid_body(link, Placement::identity(), end);
-            let beside = self.moving_joints(&body);
-            let beside = beside.filter(|joint| !path.contains(joint));
-            let on_end = body.iter().filter(|(link, _)| Some(*link) == end);
-            let on_end = on_end.flat_map(|&(link, _)| self.carried[link].iter().copied());
-            let on_end = on_end.filter(|&joint| self.is_fixed(joint));
-            notes.extend(beside.chain(on_end).map(|joint| {
-                let joint = &self.document.joints[joint];
-                format!(
-                    "left out: link '{}' on joint '{}' and all it carries",
-                    joint.child, joint.name
-                )
-            }));
-        }
-        notes
+        let links = std::iter::once(base).chain(moved);
+        let beside = links.flat_map(|link| {
+            let body = self.rigid_body(link, Placement::identity());
+            let beside = self.moving_joints(&body).filter(|j| !path.contains(j));
+            let lost = |joint| match link == base {
+                true => 0.0,
+                false => self.mass(self.child[joint], false),
+            };
+            beside.map(|j| (j, lost(j))).collect::<Vec<_>>()
+        });
+        beside.collect()
+    }
+
+    /// Description of the parts that do not belong to the arm.
+    pub(super) fn left_out(&self, base: usize, path: &[usize]) -> Vec<String> {
+        let beside = self.beside(base, path).into_iter().map(|(joint, lost)| {
+            let joint = &self.document.joints[joint];
+            let lost = match lost {
+                0.0 => String::new(),
+                _ => format!(", {lost:.3} kg (--weld keeps it)"),
+            };
+            let (link, joint) = (&joint.child, &joint.name);
+            format!("left out: link '{link}' on joint '{joint}' and all it carries{lost}")
+        });
+        beside.collect()
+    }
+
+    /// Description of what belongs to the arm behind its tip, if that has a mass.
+    pub(super) fn bolted_behind(&self, tip: usize) -> Option<String> {
+        let own = self.document.links[tip].inertial.map_or(0.0, |i| i.mass);
+        let (behind, link) = (self.mass(tip, true) - own, self.name(tip));
+        (behind > 0.0).then(|| format!(
+            "link '{link}' carries {behind:.3} kg on fixed joints, part of the arm: take out of the file what the arm does not have"
+        ))
     }
 }
 
