@@ -3,7 +3,8 @@
 use super::terminal::show;
 use super::{Failure, not_negative, positive, unusable};
 use clap::Args;
-use foretorque_workbench::robot::{Joint, Robot};
+use foretorque_workbench::dynamics::RigidBodies;
+use foretorque_workbench::robot::{Joint, Link, Robot};
 use foretorque_workbench::urdf::{Import, Selection};
 use std::path::{Path, PathBuf};
 
@@ -122,6 +123,7 @@ impl ArmOptions {
                 *place(joint) = *value;
             }
         }
+        import.notes.extend(inflated_limits(&import.robot));
         Ok(import)
     }
 
@@ -144,6 +146,31 @@ impl ArmOptions {
         }
         Ok(import.robot)
     }
+}
+
+/// Distance of a payload from the origin of the last link, m: the largest that the learner takes.
+const PAYLOAD_DISTANCE: f64 = 0.25;
+/// Largest torque limit without a note, in units of what moves the links and a payload as heavy as the arm. Arms carry less than
+/// they weigh.
+const INFLATED: f64 = 10.0;
+
+/// A note for each torque limit that looks like a placeholder.
+fn inflated_limits(robot: &Robot) -> Vec<String> {
+    let payload = Link {
+        mass: robot.joints.iter().map(|joint| joint.link.mass).sum(),
+        com: nalgebra::Vector3::new(PAYLOAD_DISTANCE, 0.0, 0.0),
+        inertia_com: nalgebra::Matrix3::zeros(),
+    };
+    let needs = RigidBodies::new(robot)
+        .with_payload(&payload)
+        .largest_torques();
+    let joints = robot.joints.iter().zip(needs.iter());
+    let inflated = joints.filter(|(joint, need)| joint.limits.torque > INFLATED * **need);
+    let notes = inflated.map(|(joint, need)| {
+        let (name, limit) = (&joint.name, joint.limits.torque);
+        format!("joint '{name}': its torque limit of {limit} N·m is more than {INFLATED} times the {need:.2} N·m that move the arm with its own mass as payload: a placeholder? correct it (--torque-limits)")
+    });
+    notes.collect()
 }
 
 /// `robot` with a rotor at every joint; a note names those that its description has not.

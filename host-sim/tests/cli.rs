@@ -231,3 +231,29 @@ fn a_description_of_a_description_is_the_same_arm() {
     };
     assert_eq!(constants(&one), constants(&other));
 }
+
+#[test]
+fn a_torque_limit_that_no_drive_of_the_arm_has_is_asked_about() {
+    let here = directory("inflated");
+    let question = "is more than 10 times the";
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+    for robot in files(&robots) {
+        let robot = robots.join(robot);
+        let described = succeeds(&here, &format!("describe {}", robot.display()));
+        assert!(!described.contains(question), "{described}");
+    }
+    let generated = succeeds(
+        &here,
+        "generate --robot ur5 --torque-limits 1000 --out own.rs",
+    );
+    // What the shoulder moves takes more than 100 N·m.
+    let asked: Vec<&str> = generated
+        .lines()
+        .filter(|line| line.contains(question))
+        .collect();
+    assert_eq!(asked.len(), 3, "{generated}");
+    assert_contains(
+        asked[2],
+        "note: joint 'wrist_3': its torque limit of 1000 N·m",
+    );
+}

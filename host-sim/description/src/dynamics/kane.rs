@@ -87,11 +87,19 @@ impl RigidBodies {
 
     /// Largest gravity torque of each joint over 64 seeded poses, N·m.
     pub fn largest_gravity_torques(&self) -> PerJoint<f64> {
-        const POSES: usize = 64;
+        self.largest(|motion| self.gravity_torques(&motion.q))
+    }
+
+    /// Largest torque of each joint over 64 seeded motions of up to 3 rad/s and 10 rad/s², N·m.
+    pub fn largest_torques(&self) -> PerJoint<f64> {
+        self.largest(|motion| self.inverse_dynamics(motion))
+    }
+
+    fn largest(&self, torques: impl Fn(&Motion) -> PerJoint<f64>) -> PerJoint<f64> {
+        const MOTIONS: usize = 64;
         let mut largest = PerJoint::repeat(self.joints(), 0.0_f64);
-        for pose in random_motions(self.joints(), POSES) {
-            let torques = self.gravity_torques(&pose.q);
-            for (largest, torque) in largest.iter_mut().zip(torques.iter()) {
+        for motion in random_motions(self.joints(), MOTIONS) {
+            for (largest, torque) in largest.iter_mut().zip(torques(&motion).iter()) {
                 *largest = largest.max(torque.abs());
             }
         }

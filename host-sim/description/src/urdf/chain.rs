@@ -3,7 +3,7 @@
 use super::document::{Document, JointElement, TURN};
 use super::tree::Tree;
 use super::{Import, Selection};
-use crate::robot::{Drive, Friction, Joint, Limits, MAX_JOINTS, Placement, Robot, Workspace};
+use crate::robot::{Drive, Friction, Joint, Limits, Link, MAX_JOINTS, Placement, Robot, Workspace};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use std::f64::consts::{PI, TAU};
 
@@ -108,7 +108,15 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             "no acceleration limit at joints '{names}': {ACCELERATION} rad/s² is taken"
         ));
     }
-    wide_links(&joints, &link_frame, &mut notes);
+    let written = moved
+        .iter()
+        .map(|&joint| document.links[tree.child[joint]].inertial);
+    placeholders(
+        &joints,
+        &link_frame,
+        &written.collect::<Vec<_>>(),
+        &mut notes,
+    );
     assume_torques(&mut joints, &mut notes);
     note_drives(&joints, &mut notes);
     lower_speeds(&mut joints, &mut notes);
@@ -258,19 +266,61 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
     })
 }
 
-/// Notes links whose radius of gyration is larger than the whole arm, as placeholders and other units give them.
-fn wide_links(joints: &[Joint], flange: &Placement, notes: &mut Vec<String>) {
-    let length = |joint: &Joint| joint.placement.origin.norm() + joint.link.com.norm();
-    let reach = flange.origin.norm() + joints.iter().map(length).sum::<f64>();
-    for joint in joints {
-        let radius = (joint.link.inertia_com.trace() / 2.0 / joint.link.mass).sqrt();
-        if radius > reach {
+/// Largest radius of gyration without a note, in units of the link's length; those of the Panda have up to two.
+const WIDE: f64 = 3.0;
+/// Thickness of a link, m: that of an assumed rod.
+const THICKNESS: f64 = 0.1;
+
+/// Notes inertias that placeholders and other units give: a radius of gyration of several lengths of the link, or one inertia for
+/// all axes of several links.
+fn placeholders(
+    joints: &[Joint],
+    flange: &Placement,
+    written: &[Option<Link>],
+    notes: &mut Vec<String>,
+) {
+    let ends = joints.iter().skip(1).map(|joint| &joint.placement);
+    for (joint, end) in joints.iter().zip(ends.chain([flange])) {
+        let link = &joint.link;
+        let length = link.com.norm() + (end.origin - link.com).norm() + THICKNESS;
+        let radius = (link.inertia_com.trace() / 2.0 / link.mass).sqrt();
+        if radius > WIDE * length {
             notes.push(format!(
-                "link '{}': the inertia is that of a body of {radius:.2} m radius of gyration, the whole arm is {reach:.2} m long: a placeholder, or other units?",
-                joint.link_name.as_deref().unwrap_or_default()
+                "link '{}': the inertia is that of a body of {radius:.2} m radius of gyration, the link is about {length:.2} m long: a placeholder, or other units? correct it in the file",
+                link_name(joint)
             ));
         }
     }
+    let near = |a: &Matrix3<f64>, b: &Matrix3<f64>| (a - b).amax() <= 1e-9 * a.amax();
+    let ball = |link: &Option<Link>| {
+        let inertia = link.as_ref()?.inertia_com;
+        near(&inertia, &Matrix3::from_diagonal_element(inertia.m11)).then_some(inertia)
+    };
+    let balls: Vec<Option<Matrix3<f64>>> = written.iter().map(ball).collect();
+    let is_shared = |ball: &Option<Matrix3<f64>>| {
+        let Some(ball) = ball else { return false };
+        balls
+            .iter()
+            .flatten()
+            .filter(|other| near(ball, other))
+            .count()
+            > 1
+    };
+    let shared = joints
+        .iter()
+        .zip(&balls)
+        .filter(|(_, ball)| is_shared(ball));
+    let shared: Vec<&str> = shared.map(|(joint, _)| link_name(joint)).collect();
+    if !shared.is_empty() {
+        notes.push(format!(
+            "links '{}' share one inertia, the same about all axes: a placeholder? correct it in the file",
+            shared.join("', '")
+        ));
+    }
+}
+
+fn link_name(joint: &Joint) -> &str {
+    joint.link_name.as_deref().unwrap_or_default()
 }
 
 /// Gives joints without a torque limit one and a half of what the arm weighs at full stretch, of friction at the velocity limit

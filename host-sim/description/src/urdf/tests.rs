@@ -283,7 +283,7 @@ fn numbers_that_look_like_other_units_are_asked_about() {
         (
             "iyy=\"0.02\" iyz=\"0\" izz=\"0.02\"",
             "iyy=\"20\" iyz=\"0\" izz=\"20\"",
-            "link 'fore': the inertia is that of a body of 3.65 m radius of gyration, the whole arm is 2.5",
+            "link 'fore': the inertia is that of a body of 3.65 m radius of gyration, the link is about 0.40 m long",
         ),
     ] {
         assert!(ARM.contains(good), "{good}");
@@ -291,6 +291,16 @@ fn numbers_that_look_like_other_units_are_asked_about() {
         assert!(asked(&ARM.replacen(good, bad, 1)), "{question}");
         assert!(!asked(ARM), "{question}");
     }
+    // One tensor for every link, as tools write it that know none.
+    let own = [
+        r#"ixx="0.01" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03""#,
+        r#"ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02""#,
+    ];
+    let one = ARM.replace(own[0], TENSOR);
+    let all = one.replace(own[1], TENSOR);
+    let note = "links 'upper', 'fore' share one inertia, the same about all axes";
+    let noted = [ARM, &one, &all].map(|text| imported(text).begins(note));
+    assert_eq!(noted, [false, false, true]);
 }
 
 #[test]
