@@ -124,6 +124,7 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>, arm: &str) -> 
     format!(
         "\
 //! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.
+#![allow(dead_code, reason = \"a program needs some of these names only\")]
 
 use foretorque::arm::{{Arm, BaseTerm, JointLimits, LinkColumns, Placement}};
 
@@ -267,9 +268,24 @@ fn camel_case(name: &str) -> String {
     words.collect()
 }
 
+/// A module in a crate that uses one name of it.
+#[cfg(test)]
+#[deny(dead_code)]
+#[expect(unreachable_pub, reason = "nothing is public in a program")]
+#[path = "../../../firmware/foretorque/src/arm/ur5.rs"]
+mod used_in_part;
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_module_of_which_little_is_used_compiles_without_warnings() {
+        let robot = Robot::load("ur5").expect("built in");
+        let compiled = include_str!("../../../firmware/foretorque/src/arm/ur5.rs");
+        assert_eq!(arm_module(&robot), compiled);
+        assert_eq!(used_in_part::JOINTS, robot.joint_count());
+    }
 
     #[test]
     fn an_arm_cannot_be_called_like_what_its_module_uses() {

@@ -1,4 +1,5 @@
 //! Constants of `panda`, written by `host-sim generate` from its description. Change that, not this.
+#![allow(dead_code, reason = "a program needs some of these names only")]
 
 use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 
