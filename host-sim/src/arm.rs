@@ -28,22 +28,22 @@ pub(super) struct ArmOptions {
     /// Move inertias that no body has to the nearest one that a body has
     #[arg(long)]
     repair: bool,
-    /// Mass of links without inertial data
+    /// Mass of links without inertial data, kg
     #[arg(long, value_name = "KG", value_parser = positive)]
     link_mass: Option<f64>,
-    /// Rotor inertias reflected to the link side: one for all joints, or one for each
+    /// Rotor inertias reflected to the link side, kg·m²: one for all joints, or one for each
     #[arg(long, value_name = "KG_M2,...", value_delimiter = ',', value_parser = not_negative)]
     rotor_inertia: Vec<f64>,
-    /// Torque limits: one for all joints, or one for each
+    /// Torque limits, N·m: one for all joints, or one for each
     #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = positive)]
     torque_limits: Vec<f64>,
-    /// Velocity limits: one for all joints, or one for each
+    /// Velocity limits, rad/s: one for all joints, or one for each
     #[arg(long, value_name = "RAD_S,...", value_delimiter = ',', value_parser = positive)]
     velocity_limits: Vec<f64>,
-    /// Drive gains: one for all joints, or one for each
+    /// Drive gains, N·m/A: one for all joints, or one for each
     #[arg(long, value_name = "NM_A,...", value_delimiter = ',', value_parser = positive)]
     drive_gains: Vec<f64>,
-    /// Coulomb friction of the simulated arm: one for all joints, or one for each
+    /// Coulomb friction of the simulated arm, N·m: one for all joints, or one for each
     #[arg(long, value_name = "NM,...", value_delimiter = ',', value_parser = not_negative)]
     friction: Vec<f64>,
 }
@@ -116,7 +116,8 @@ impl ArmOptions {
             let found = values.len();
             if ![0, 1, joints].contains(&found) {
                 return Err(unusable(format!(
-                    "{option} has {found} values, the arm has {joints} joints"
+                    "{option} has {found} values, the arm has {}",
+                    joint_count(joints)
                 )));
             }
             for (joint, value) in import.robot.joints.iter_mut().zip(values.iter().cycle()) {
@@ -146,6 +147,11 @@ impl ArmOptions {
         }
         Ok(import.robot)
     }
+}
+
+/// A number of joints in words.
+pub(super) fn joint_count(count: usize) -> String {
+    format!("{count} joint{}", if count == 1 { "" } else { "s" })
 }
 
 /// Distance of a payload from the origin of the last link, m: the largest that the learner takes.

@@ -1,6 +1,6 @@
 //! Descriptions of arms as files, and as modules of the firmware.
 
-use super::arm::ArmOptions;
+use super::arm::{ArmOptions, joint_count};
 use super::terminal::show;
 use super::{Failure, not_over};
 use clap::{Args, ValueEnum};
@@ -97,7 +97,8 @@ impl Generate {
         write_arm_module(&robot, &self.out)?;
         let (out, name, count) = (self.out.display(), &robot.name, joints.len());
         show!(
-            "{out}: arm '{name}' of {count} joints: {}",
+            "{out}: arm '{name}' of {}: {}",
+            joint_count(count),
             joints.join(", ")
         )
     }

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct Arguments {
     #[command(flatten)]
     pub(super) robot: RobotOptions,
-    /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg
+    /// Directory for excitation.json, excitation.csv, excitation.html and excitation.svg, in s, rad, rad/s and rad/s²
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Objective of the search
@@ -77,7 +77,7 @@ enum CriterionName {
 
 /// Period of a motion, s.
 pub(super) fn period(text: &str) -> Result<f64, String> {
-    let limit = format!("must be at most {MOST_PERIOD_S}");
+    let limit = format!("must be at most {MOST_PERIOD_S} s");
     let period_s = positive(text)?;
     (period_s <= MOST_PERIOD_S).then_some(period_s).ok_or(limit)
 }

@@ -257,3 +257,26 @@ fn a_torque_limit_that_no_drive_of_the_arm_has_is_asked_about() {
         "note: joint 'wrist_3': its torque limit of 1000 N·m",
     );
 }
+
+#[test]
+fn an_arm_of_one_joint_is_generated_and_excited() {
+    let here = directory("one-joint");
+    let pendulum = r#"<robot name="pendulum"><link name="wall"/>
+        <joint name="hinge" type="revolute"><parent link="wall"/><child link="rod"/><axis xyz="0 1 0"/>
+          <limit lower="-3" upper="3" velocity="5" effort="20"/></joint>
+        <link name="rod"><inertial><origin xyz="0 0 -0.5"/><mass value="2"/>
+          <inertia ixx="0.1" iyy="0.1" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"#;
+    write(here.join("pendulum.urdf"), pendulum);
+    let generated = succeeds(&here, "generate --robot pendulum.urdf --out own.rs");
+    assert_contains(&generated, "arm 'pendulum' of 1 joint: hinge");
+    let excite = "excite --robot pendulum.urdf --starts 1 --iterations 8 --out out";
+    assert_contains(&succeeds(&here, excite), "N·m RMS");
+    let help = succeeds(&here, "excite --help");
+    for words in [
+        "Velocity limits, rad/s: one",
+        "around zero, rad,",
+        "fundamental, s;",
+    ] {
+        assert_contains(&help, words);
+    }
+}
