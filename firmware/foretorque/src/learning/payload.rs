@@ -35,13 +35,13 @@ const fn stretch<const N: usize, const P: usize>(arm: &ArmModel<N, P>, joint: us
 }
 
 /// Rated payload of an arm, kg: the mass whose weight at full stretch takes a third of the torque limit of the weakest
-/// joint.
+/// joint. The first joint has a lever of 0.25 m at least, also as the only one.
 pub fn rated_payload<A: Arm<N, P>, const N: usize, const P: usize>() -> f32 {
     table!(A, rated_mass)
 }
 
 const fn rated_mass<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> f32 {
-    let mut least = 1000.0;
+    let mut least = RATED_TORQUE * arm.limits[0].torque / (GRAVITY * MAX_COM_DISTANCE);
     let mut joint = 0;
     while joint + 1 < N {
         let lever = stretch(arm, joint);
@@ -204,7 +204,7 @@ mod tests {
     use super::*;
     use crate::arm::panda::{self, Panda};
     use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
-    use crate::arm::{LinkInertia, base_parameters};
+    use crate::arm::{BaseIndex, LinkInertia, base_parameters};
     use crate::dynamics::{regressor_row, rnea};
     use crate::joint::{JointMotion, JointVector};
 
@@ -279,6 +279,29 @@ mod tests {
         let panda = rated_payload::<Panda, { panda::JOINTS }, { panda::PARAMETERS }>();
         assert!((ur5 - 5.0).abs() < 0.3, "{ur5}");
         assert!((panda - 3.0).abs() < 0.5, "{panda}");
+    }
+
+    #[test]
+    fn a_single_joint_carries_its_payload_at_its_largest_distance() {
+        let arm = Ur5::model();
+        let columns = [arm.columns[5]];
+        let single = ArmModel::<1, P> {
+            name: "single",
+            gravity: arm.gravity,
+            placements: [arm.placements[5]],
+            columns,
+            index: BaseIndex::of(&columns),
+            base_map: &[],
+            limits: [arm.limits[5]],
+            cogging_cycles: [0.0],
+            encoder_step: arm.encoder_step,
+            nominal: arm.nominal,
+            links: [arm.links[5]],
+            rotors: [arm.rotors[5]],
+        };
+        let [limit, weight] = [single.limits[0].torque, 9.81 * rated_mass(&single)];
+        assert!((weight * 0.25 - limit / 3.0).abs() < 1e-3, "{weight}");
+        assert!(torque_bound(&single)[0] < 0.7 * limit);
     }
 
     #[test]
