@@ -365,7 +365,7 @@ mod tests {
         for (code, named) in [
             ("host-sim frobnicate", "frobnicate"),
             ("experiment learnign --out DIR", "learnign"),
-            ("host-sim generate --urdf FILE [--bsae LINK]", "--bsae"),
+            ("host-sim generate --robot FILE [--bsae LINK]", "--bsae"),
             ("experiment demo --quick", "--quick"),
         ] {
             assert!(judged(code).expect(code).contains(named), "{code}");

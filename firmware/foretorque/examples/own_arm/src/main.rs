@@ -1,7 +1,7 @@
 //! Firmware of a crate outside the workspace: an arm of its own, a critical section of its own. It shows that the library
 //! links without a board or an executor; it has no vector table, so no board starts it.
 //!
-//! `src/arm.rs` of your crate is the output of `host-sim generate --urdf FILE --out src/arm.rs`; the Panda stands for it here.
+//! `src/arm.rs` of your crate is the output of `host-sim generate --robot FILE --out src/arm.rs`; the Panda stands for it here.
 #![no_std]
 #![no_main]
 
