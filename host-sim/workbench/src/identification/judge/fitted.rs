@@ -1,9 +1,11 @@
-//! Findings on what was fitted: an unknown payload, and parameters that no arm has.
+//! Findings on what was fitted: a tilted base, an unknown payload, and parameters that no arm has.
 
-use super::{ANALYTIC, CENTRE_M, DEVIATIONS, Finding, Judgement};
+use super::{ANALYTIC, CENTRE_M, DEVIATIONS, Finding, Judgement, ROWS};
+use crate::dynamics::RigidBodies;
 use crate::identification::columns::Layout;
 use crate::identification::dataset::SampleRow;
 use crate::identification::methods::Fit;
+use crate::identification::normal::solve;
 use crate::identification::problem::Candidate;
 use crate::identification::record::Report;
 use crate::robot::{Link, Robot};
@@ -17,14 +19,25 @@ pub(in crate::identification) fn description(robot: &Robot, layout: &Layout) -> 
     DVector::from_vec(theta)
 }
 
-/// Findings on what was fitted: an unknown payload, and parameters that no body has.
+/// Findings on what was fitted: a tilted base, an unknown payload, and parameters that no body has.
+///
+/// Returns whether the base is tilted. A tilt may pass for a payload, but not the other way: the parameters of the fit
+/// contain every payload.
 pub(in crate::identification) fn after_fit(
     judgement: &mut Judgement,
     robot: &Robot,
     layout: &Layout,
     fit: &Fit,
-) {
-    if let Some(flange) = payload(robot, layout, fit).filter(Flange::is_certain) {
+    rows: &[SampleRow],
+) -> bool {
+    let free = with_tilt(robot, layout, fit, rows);
+    let tilt = free.as_ref().and_then(|(_, tilt)| tilt.finding());
+    let is_tilted = tilt.is_some();
+    if let Some(text) = tilt {
+        judgement.find(false, text);
+    }
+    let free = free.as_ref().map_or(fit, |(free, _)| free);
+    if let Some(flange) = payload(robot, layout, free).filter(Flange::is_certain) {
         judgement.find(true, flange.finding());
     }
     let deviation = |variance: f64| ANALYTIC * variance.max(0.0).sqrt();
@@ -39,6 +52,7 @@ pub(in crate::identification) fn after_fit(
             judgement.find(false, text);
         }
     }
+    is_tilted
 }
 
 /// Joints where the fitted parameters leave half of the power of the torque, and most of what they leave is not noise. The
@@ -127,6 +141,88 @@ pub(in crate::identification) fn change(
             "torque error of joint {joint} changes by {step:.3} N·m on average at {t_s:.1} s: was a body picked up or put down, or does the sensor drift? Cut the log there"
         )
     })
+}
+
+/// Direction of gravity in the base that a fit has and the description has not.
+#[derive(Debug)]
+pub(super) struct Tilt {
+    /// Angle to the described gravity and its standard deviation, rad.
+    angle: f64,
+    deviation: f64,
+    gravity: Vector3<f64>,
+}
+
+impl Tilt {
+    fn finding(&self) -> Option<String> {
+        let certain = self.angle > DEVIATIONS * self.deviation;
+        let [x, y, z] = self
+            .gravity
+            .map(|g| (100.0 * g).round() / 100.0 + 0.0)
+            .into();
+        certain.then(|| {
+            format!(
+                "the base is tilted by {:.3} ± {:.3} rad against the described gravity: set gravity_m_s2 = [{x:.2}, {y:.2}, {z:.2}] in the description, or level the base",
+                self.angle, self.deviation
+            )
+        })
+    }
+}
+
+/// Gravity along two axes across the described one, m/s², of its size, and the arm under it.
+fn across(robot: &Robot) -> [(Vector3<f64>, RigidBodies); 2] {
+    let (down, size) = (robot.gravity, robot.gravity.norm());
+    let one = down.cross(&Vector3::ith(down.iamin(), 1.0));
+    let other = down.cross(&one);
+    let sized = |axis: Vector3<f64>| axis * (size / axis.norm().max(f64::MIN_POSITIVE));
+    [sized(one), sized(other)].map(|gravity| {
+        let robot = robot.clone();
+        (gravity, RigidBodies::new(&Robot { gravity, ..robot }))
+    })
+}
+
+/// Weighted least squares with the direction of gravity as two parameters more, and the tilt that they give; `None` where the
+/// parameters of the arm explain all that a tilt does.
+///
+/// ```text
+/// tau = Y theta + t_1 G_1 + t_2 G_2    G_k = torque of the description under gravity along axis k across the described one
+/// ```
+fn with_tilt(robot: &Robot, layout: &Layout, fit: &Fit, rows: &[SampleRow]) -> Option<(Fit, Tilt)> {
+    let size = layout.parameters.len();
+    let across = across(robot);
+    let mut gram = DMatrix::zeros(size + 2, size + 2);
+    let mut moment = DVector::zeros(size + 2);
+    for row in rows.iter().step_by(rows.len().div_ceil(ROWS).max(1)) {
+        let turned = across
+            .each_ref()
+            .map(|(_, model)| model.gravity_torques(&row.state.q));
+        for joint in (0..layout.joints()).filter(|joint| row.moving[*joint]) {
+            let mut x = DVector::zeros(size + 2);
+            for (value, place) in row.columns(layout, joint).iter().zip(&layout.active[joint]) {
+                x[*place] = *value;
+            }
+            (x[size], x[size + 1]) = (turned[0][joint], turned[1][joint]);
+            let weight = fit.sigma[joint].powi(-2);
+            gram.ger(weight, &x, &x, 1.0);
+            moment.axpy(weight * row.clean[joint], &x, 1.0);
+        }
+    }
+    layout.add_prior(&mut gram);
+    let (theta, covariance) = solve(&gram, &moment).ok()?;
+    let tilt = Vector2::new(theta[size], theta[size + 1]);
+    let spread = covariance.fixed_view::<2, 2>(size, size).into_owned();
+    let gravity = robot.gravity + across[0].0 * tilt.x + across[1].0 * tilt.y;
+    let angle = tilt.norm().atan();
+    let free = Fit {
+        theta: theta.rows(0, size).into_owned(),
+        covariance: covariance.view((0, 0), (size, size)).into_owned(),
+        ..fit.clone()
+    };
+    let tilt = Tilt {
+        angle,
+        deviation: ANALYTIC * spread.symmetric_eigenvalues().max().sqrt(),
+        gravity: gravity * (robot.gravity.norm() / gravity.norm()),
+    };
+    Some((free, tilt))
 }
 
 /// Mass at the flange that a fit has and the description has not.
@@ -233,8 +329,9 @@ pub(super) fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<Flang
 mod tests {
     use super::*;
     use crate::identification::ColumnSet;
-    use crate::identification::dataset::random_rows;
+    use crate::identification::dataset::{RowSums, random_rows};
     use crate::identification::judge::JointCheck;
+    use crate::identification::methods::wls;
 
     #[test]
     fn a_payload_is_found_where_a_moment_of_it_gives_no_torque() {
@@ -262,6 +359,46 @@ mod tests {
         let flange = payload(&robot, &layout, &fit).expect("a payload");
         assert!((flange.mass - 20.0).abs() < 0.1, "{}", flange.mass);
         assert!(flange.is_certain(), "{}", flange.deviation);
+    }
+
+    #[test]
+    fn a_tilted_base_is_no_payload_and_a_payload_no_tilted_base() {
+        let robot = Robot::load("ur5").expect("built in");
+        let layout = Layout::new(&robot, &ColumnSet::plain());
+        let found = |tilt: f64, mass: f64| {
+            let mut arm = robot.clone();
+            arm.gravity = Vector3::new(tilt.sin(), 0.0, -tilt.cos()) * 9.81;
+            let body = Link {
+                mass,
+                com: arm.flange.origin,
+                inertia_com: Matrix3::identity() * 1e-3 * mass,
+            };
+            let model = RigidBodies::new(&arm).with_payload(&body);
+            // Joint 1 hardly moves: its column of a tilt is nearly one of the parameters.
+            let torque = |row: &SampleRow, joint: usize| model.inverse_dynamics(&row.state)[joint];
+            let rows = random_rows(&layout, 1500, 1, [0.4, 1.0, 1.0], 1.0, torque);
+            let mut sums = RowSums::new(&layout);
+            sums.add(&layout, &rows.iter().collect::<Vec<_>>());
+            let fit = wls(&sums.all, &layout).expect("a fit");
+            let mut judgement = Judgement::default();
+            after_fit(&mut judgement, &robot, &layout, &fit, &rows);
+            let texts = judgement.findings.into_iter().map(|it| it.text);
+            texts.collect::<Vec<_>>()
+        };
+        assert_eq!(found(0.0, 0.0), [""; 0]);
+        for tilt in [0.03, 0.1] {
+            let texts = found(tilt, 0.0);
+            let angle = format!("tilted by {tilt:.2}");
+            assert!(
+                matches!(&texts[..], [it] if it.contains(&angle)),
+                "{texts:?}"
+            );
+        }
+        let texts = found(0.0, 3.0);
+        assert!(
+            matches!(&texts[..], [it] if it.contains("at the flange")),
+            "{texts:?}"
+        );
     }
 
     #[test]
