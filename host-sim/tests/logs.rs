@@ -184,7 +184,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
                 .for_each(|tau| *tau = tau.abs())
         })
     };
-    let cases: [(Change, &str); 28] = [
+    let cases: [(Change, &str); 29] = [
         (
             absolute(TAU..TAU + 6),
             "torque of joint 1, 4, 5, 6 is never negative",
@@ -214,6 +214,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             "is this a log that counts the other way (--units tau=-Nm or i=-A)?",
         ),
         (scale(one(3), -1.0), "torque of joint 3 has the wrong sign"),
+        (scale(TAU..TAU + 6, 3.0), "the torques of all joints are 3."),
         (
             swap(TAU + 1, TAU + 3, 1),
             "torques of joints 2 and 4 are swapped",

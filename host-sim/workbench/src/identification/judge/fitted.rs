@@ -1,6 +1,6 @@
 //! Findings on what was fitted: a tilted base, an unknown payload, and parameters that no arm has.
 
-use super::{ANALYTIC, CENTRE_M, DEVIATIONS, Finding, Judgement, ROWS};
+use super::{ANALYTIC, CENTRE_M, DEVIATIONS, Finding, Judgement, ROWS, SOUND_SCALE};
 use crate::dynamics::RigidBodies;
 use crate::identification::columns::Layout;
 use crate::identification::dataset::SampleRow;
@@ -225,32 +225,58 @@ fn with_tilt(robot: &Robot, layout: &Layout, fit: &Fit, rows: &[SampleRow]) -> O
     Some((free, tilt))
 }
 
-/// Mass at the flange that a fit has and the description has not.
+/// Mass at the flange that a fit has and the description has not, or a scale of all torques that makes it.
 pub(super) struct Flange {
     /// Mass and its standard deviation, kg.
-    pub(super) mass: f64,
-    pub(super) deviation: f64,
+    mass: f64,
+    deviation: f64,
     /// Share of the difference of fit and description that it explains.
-    pub(super) share: f64,
+    share: f64,
+    /// Scale of all torques in its place, the scale's deviation, and the share that it explains.
+    scale: [f64; 3],
 }
 
 impl Flange {
     const LEAST_KG: f64 = 0.3;
 
-    /// The description's own uncertainty does not explain the mass.
+    /// The description's own uncertainty does not explain it.
     fn is_certain(&self) -> bool {
-        self.mass > Self::LEAST_KG && self.mass > DEVIATIONS * self.deviation
+        let [scale, deviation, _] = self.scale;
+        match self.is_scale() {
+            true => (scale - 1.0).abs() > DEVIATIONS * deviation,
+            false => self.mass > Self::LEAST_KG && self.mass > DEVIATIONS * self.deviation,
+        }
+    }
+
+    /// It explains most of the difference: of that which another defect makes, it explains little.
+    pub(super) fn is_most(&self) -> bool {
+        match self.is_scale() {
+            true => self.scale[2] > 0.5,
+            false => self.share > 0.5 && self.mass > self.deviation,
+        }
+    }
+
+    /// A scale of all torques explains more, with one parameter in the place of four.
+    fn is_scale(&self) -> bool {
+        let ([scale, _, share], (low, high)) = (self.scale, SOUND_SCALE);
+        share > self.share && !(low..=high).contains(&scale)
     }
 
     pub(super) fn finding(&self) -> String {
         let (mass, deviation) = (self.mass, self.deviation);
+        if self.is_scale() {
+            let [scale, deviation, _] = self.scale;
+            return format!(
+                "the torques of all joints are {scale:.2} ± {deviation:.2} times the description's: drive gains, unit (--units), or another arm?"
+            );
+        }
         format!(
             "a payload of {mass:.2} ± {deviation:.2} kg at the flange explains what the description does not: add it to the description or take it off"
         )
     }
 }
 
-/// Mass at the flange by a fit.
+/// Mass at the flange by a fit, and the scale of all torques.
 ///
 /// `theta − theta_description = p m + e`, e with the covariance of the fit and of a description whose masses, centres,
 /// inertias and rotors are uncertain.
@@ -317,11 +343,18 @@ pub(super) fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<Flang
     let moment = columns.tr_mul(&(&inverse * &rest));
     let found = &gram * &moment;
     let (mass, deviation) = (found[0], gram[(0, 0)].sqrt());
-    let share = found.dot(&moment) / rest.dot(&(&inverse * &rest));
+    let all = rest.dot(&(&inverse * &rest));
+    let weighted = &inverse * &nominal;
+    let (size, along) = (nominal.dot(&weighted), rest.dot(&weighted));
     Some(Flange {
         mass,
         deviation,
-        share,
+        share: found.dot(&moment) / all,
+        scale: [
+            1.0 + along / size,
+            size.powf(-0.5),
+            along * along / size / all,
+        ],
     })
 }
 

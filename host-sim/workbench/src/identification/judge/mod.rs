@@ -228,10 +228,9 @@ pub fn judge(
         }
     }
     let fitted = |rate| fall_at_rate(&layout, &sample.kept, config.still_rad_s, rate);
-    // Of the difference that another defect makes, a mass explains little.
     let payload = || {
         let flange = payload(robot, &layout, &wls(&sums, &layout).ok()?)?;
-        (flange.share > 0.5 && flange.mass > flange.deviation).then(|| flange.finding())
+        flange.is_most().then(|| flange.finding())
     };
     let fits = Fits {
         fitted: &fitted,

@@ -1,7 +1,6 @@
 //! Other readings of the columns of a log: joints exchanged, positions of another scale, direction or zero, a clock of another
 //! rate, and gravity of another direction.
 
-use super::SOUND_SCALE;
 use super::explained::{COLUMNS, Explained, explain, links, of_drive, weight};
 use super::ranges::Extremes;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
@@ -17,6 +16,9 @@ const READING_ROWS: usize = 300;
 const CERTAIN: f64 = 2.0;
 /// Part of gravity below which torques are without it.
 const WEIGHTLESS: f64 = 0.3;
+
+/// Gravity where a description has none, m/s².
+const STANDARD_M_S2: f64 = 9.80665;
 
 /// Another reading of the columns of a log.
 struct Reading {
@@ -175,28 +177,29 @@ fn other_gravity(
             hidden += described;
         }
     }
-    let described = bare.gravity.norm();
-    let (gravity, text) = if seen.norm() < WEIGHTLESS * described_seen.norm() {
+    // Every base has gravity of one size: torques of another size are those of drive gains, units or masses.
+    let size = match bare.gravity.norm() {
+        0.0 => STANDARD_M_S2,
+        size => size,
+    };
+    let carried = described_seen.norm();
+    let weightless = carried > WEIGHTLESS * size && seen.norm() < WEIGHTLESS * carried;
+    let (gravity, text) = if weightless {
         let text =
             "the torques are without gravity: add what the drives or their software take off";
         (Vector3::zeros(), text.to_owned())
     } else {
-        let rest = (described.powi(2) - seen.norm_squared()).max(0.0).sqrt();
-        let found = match hidden.norm() {
-            0.0 => seen,
-            size => seen + hidden * (rest / size),
+        let rest = (size.powi(2) - seen.norm_squared()).max(0.0).sqrt();
+        let found = match hidden.norm() / size {
+            0.0..1e-6 => seen,
+            share => seen + hidden * (rest / (share * size)),
         };
-        // Masses that are wrong change the size, too; beyond that it is another planet's, or none was described.
-        let (low, high) = SOUND_SCALE;
-        let ratio = seen.norm() / described_seen.norm();
-        let gravity = match (low..=high).contains(&ratio) {
-            true => found * (described / found.norm()),
-            false => found,
-        };
+        let gravity = found * (size / found.norm().max(f64::MIN_POSITIVE));
+        let angle = gravity.angle(&bare.gravity);
         // Adding 0 takes the sign off a zero.
         let [x, y, z] = gravity.map(|g| (10.0 * g).round() / 10.0 + 0.0).into();
         let text = format!(
-            "gravity is another one than in the description: with gravity_m_s2 = [{x:.1}, {y:.1}, {z:.1}] the torques follow it"
+            "gravity is another one than in the description: with gravity_m_s2 = [{x:.1}, {y:.1}, {z:.1}], a base turned by {angle:.2} rad, the torques follow it"
         );
         (gravity, text)
     };
@@ -290,7 +293,7 @@ mod tests {
             joint.placement.origin = Vector3::new(0.3, 0.0, 0.05);
             joint.drive.rotor_inertia = 0.0;
         }
-        let read = |slope: f64| {
+        let read = |arm: &Robot, slope: f64, scale: f64| {
             let gravity = Vector3::new(slope.sin(), 0.0, -slope.cos()) * 9.81;
             let model = RigidBodies::new(&Robot {
                 gravity,
@@ -314,14 +317,21 @@ mod tests {
                 };
                 let noise = 0.01 * f64::from(row * 7 % 11 - 5);
                 let mut tau = model.inverse_dynamics(&state);
-                tau.iter_mut().for_each(|tau| *tau += noise);
+                tau.iter_mut().for_each(|tau| *tau = scale * *tau + noise);
                 (state, tau)
             });
             let rows: Vec<_> = rows.collect();
-            other_reading(&arm, &rows, &[Extremes::none(); 6], &|_| 0.0)
+            other_reading(arm, &rows, &[Extremes::none(); 6], &|_| 0.0)
         };
-        assert_eq!(read(0.0), None);
-        let text = read(0.1).expect("a slope");
+        assert_eq!(read(&arm, 0.0, 1.0), None);
+        let text = read(&arm, 0.1, 1.0).expect("a slope");
         assert!(text.contains("gravity_m_s2 = [1.0, 0.0, -9.8]"), "{text}");
+        assert!(text.contains("a base turned by 0.10 rad"), "{text}");
+        // Gravity has one size, whatever the scale of the torques, and a slope that is not there is no lack of gravity.
+        let text = read(&arm, FRAC_PI_2, 3.0).expect("a wall");
+        assert!(text.contains("gravity_m_s2 = [9.8, 0.0, 0.0]"), "{text}");
+        arm.gravity = Vector3::new(0.1_f64.sin(), 0.0, -0.1_f64.cos()) * 9.81;
+        let text = read(&arm, 0.0, 1.0).expect("no slope");
+        assert!(text.contains("gravity_m_s2 = [0.0, 0.0, -9.8]"), "{text}");
     }
 }
