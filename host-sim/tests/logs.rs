@@ -307,6 +307,27 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         let identify = format!("identify --robot ur5 --log {sound} --data-check");
         assert_contains(&succeeds(&here, &identify), "no finding that refuses");
     }
+    let held =
+        each(|row| row[TAU + 1] = row[TAU + 1].clamp(-45.0, 45.0) + 0.1 * (1e3 * row[0]).sin());
+    write(here.join("held.csv"), planted(&good, held.as_ref()));
+    for (log, limits, warning) in [
+        (
+            "held",
+            "150,45,150,28,28,28",
+            "joint 2: torque held at its limit of 45 N·m in ",
+        ),
+        (
+            "good",
+            "150,30,150,28,28,28",
+            "joint 2: torque above its limit of 30 N·m in ",
+        ),
+    ] {
+        let identify = format!("identify --robot ur5 --log {log}.csv --torque-limits {limits}");
+        assert_contains(
+            &succeeds(&here, &format!("{identify} --data-check")),
+            warning,
+        );
+    }
     let mut loaded = Robot::load("ur5").expect("built in");
     let last = loaded.joints.last_mut().expect("six");
     let hand = Link {

@@ -41,7 +41,8 @@ pub(super) struct Extremes {
     pub(super) power: f64,
     scatter: f64,
     pub(super) rows: f64,
-    at_top: f64,
+    /// Rows just below the torque limit, at it, and above.
+    near_limit: [f64; 3],
     spikes: f64,
     /// Squares of the change of positions and of the logged velocities, and their product.
     rates: [f64; 3],
@@ -232,7 +233,11 @@ pub(super) fn scan(
                 sums.rows += 1.0;
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
                 sums.spikes += f64::from(jumps > (0.2 * limit).powi(2));
-                sums.at_top += f64::from(tau.abs() >= 0.995 * limit);
+                let share = tau.abs() / limit;
+                let bands = [0.97..0.99, 0.99..1.01, 1.01..f64::INFINITY];
+                for (rows, band) in sums.near_limit.iter_mut().zip(bands) {
+                    *rows += f64::from(band.contains(&share));
+                }
             } else {
                 sums.unchanged.iter_mut().for_each(Unchanged::pause);
             }
@@ -329,7 +334,7 @@ pub(super) fn units(
         );
         judgement.find(true, text);
     }
-    for (number, (_, seen)) in joints() {
+    for (number, (joint, seen)) in joints() {
         if seen.constant().is_some() {
             continue;
         }
@@ -340,16 +345,34 @@ pub(super) fn units(
                 100.0 * share
             ));
         }
-        for (count, most, problem) in [
-            (seen.spikes, 0.5, "spikes of the torque"),
-            (seen.at_top, 1.0, "at its torque limit"),
-        ] {
+        // Rows gather at a limit that holds the torque, but not where the motion turns it back.
+        let [below, at, above] = seen.near_limit;
+        let limit = joint.limits.torque;
+        let near = match at > 2.0 * f64::max(below, above) {
+            true => (
+                at,
+                format!("torque held at its limit of {limit} N·m"),
+                ": take a slower path".to_owned(),
+            ),
+            false => (
+                above,
+                format!("torque above its limit of {limit} N·m"),
+                format!(
+                    ", up to {:.1} N·m: correct the limit (--torque-limits)",
+                    seen.torque
+                ),
+            ),
+        };
+        let spikes = (
+            seen.spikes,
+            "spikes of the torque".to_owned(),
+            String::new(),
+        );
+        for ((count, problem, mend), most) in [(spikes, 0.5), (near, 1.0)] {
             let percent = 100.0 * count / f64::max(seen.rows, 1.0);
             if percent > most {
-                let text = format!(
-                    "joint {}: {problem} in {percent:.1} % of the rows",
-                    number + 1
-                );
+                let number = number + 1;
+                let text = format!("joint {number}: {problem} in {percent:.1} % of the rows{mend}");
                 judgement.find(false, text);
             }
         }
