@@ -321,6 +321,11 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             "150,30,150,28,28,28",
             "joint 2: torque above its limit of 30 N·m in ",
         ),
+        (
+            "good",
+            "2000",
+            "% of its limit: are the limits placeholders?",
+        ),
     ] {
         let identify = format!("identify --robot ur5 --log {log}.csv --torque-limits {limits}");
         assert_contains(

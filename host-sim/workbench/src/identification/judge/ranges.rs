@@ -12,6 +12,8 @@ use std::path::Path;
 
 /// Positions and torques this many times their limits are in other units.
 const BEYOND: f64 = 3.0;
+/// Largest torque over its limit of a log that uses an arm: its drives carry at least its own weight.
+const LITTLE: f64 = 0.1;
 /// Change of a sound position over its logged velocity, or its reciprocal.
 const SOUND_RATE: f64 = 1.25;
 /// Share of the rows in which a sensor is stuck or a torque is cut off that is noted, and that is refused.
@@ -302,6 +304,7 @@ pub(super) fn units(
         return;
     }
     stuck(judgement, extremes);
+    placeholders(judgement, robot.joints.iter().zip(extremes));
     let strong: Vec<_> = joints()
         .filter(|(_, (joint, seen))| seen.rms() > BEYOND * joint.limits.torque)
         .collect();
@@ -376,6 +379,21 @@ pub(super) fn units(
                 judgement.find(false, text);
             }
         }
+    }
+}
+
+/// Warns of limits that no torque comes near.
+fn placeholders<'a>(
+    judgement: &mut Judgement,
+    joints: impl Iterator<Item = (&'a Joint, &'a Extremes)>,
+) {
+    let reached = joints.map(|(joint, seen)| seen.torque / joint.limits.torque);
+    let most = reached.fold(0.0, f64::max);
+    if most > 0.0 && most < LITTLE {
+        judgement.find(false, format!(
+            "no torque of the log is above {:.2} % of its limit: are the limits placeholders? Correct them (--torque-limits), the learner's bounds are shares of them",
+            100.0 * most
+        ));
     }
 }
 
