@@ -159,6 +159,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let half_joint = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.5));
     let turned_joint = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= -1.0));
     let turned_axis = each(|row| (0..4).for_each(|k| row[Q + 6 * k + 1] *= -1.0));
+    let turned_base = each(|row| (0..3).for_each(|k| row[Q + 6 * k] *= -1.0));
     let slow_rate = each(|row| row[Q + 6 + 2] *= 0.6);
     let slow_time = each(|row| row[0] *= 3.0);
     let swapped_joints = each(|row| {
@@ -184,7 +185,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
                 .for_each(|tau| *tau = tau.abs())
         })
     };
-    let cases: [(Change, &str); 29] = [
+    let cases: [(Change, &str); 31] = [
         (
             absolute(TAU..TAU + 6),
             "torque of joint 1, 4, 5, 6 is never negative",
@@ -214,6 +215,8 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             "is this a log that counts the other way (--units tau=-Nm or i=-A)?",
         ),
         (scale(one(3), -1.0), "torque of joint 3 has the wrong sign"),
+        (scale(one(1), -1.0), "torque of joint 1 has the wrong sign"),
+        (turned_base, "positions of joint 1 count the other way"),
         (scale(TAU..TAU + 6, 3.0), "the torques of all joints are 3."),
         (
             swap(TAU + 1, TAU + 3, 1),

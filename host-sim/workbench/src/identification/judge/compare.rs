@@ -182,7 +182,7 @@ impl<'a> Comparison<'a> {
         })
     }
 
-    /// Torques of the wrong sign, of one joint or of all.
+    /// Torques of the wrong sign, of one joint or of all, or its positions: the readings that leave the least unexplained.
     fn turned(&self) -> Option<String> {
         let certain = |joint: usize| weight(&self.bare, &self.of_links, joint) > 1.0;
         let sound = || self.joints().filter(|&joint| self.is_sound(joint));
@@ -190,25 +190,52 @@ impl<'a> Comparison<'a> {
         let turned = sound()
             .filter(|&joint| self.own[joint].heavy || self.extremes[joint].moved())
             .filter(|&joint| self.own[joint].is_turned(certain(joint)));
-        let turned = numbers(turned);
+        let turned: Vec<usize> = turned.collect();
         if turned.is_empty() {
             return None;
         }
-        // Where the torques oppose those of the links even without the joint with most of them, all are turned.
-        let shares = sound().map(|joint| {
-            let products = self.rows.iter().zip(&self.of_links);
-            let sum = products.map(|((_, tau), links)| tau[joint] * links[0][joint]);
-            sum.sum::<f64>() / self.robot.joints[joint].limits.torque.powi(2)
+        let sound: Vec<usize> = sound().collect();
+        let number = numbers(turned.iter().copied());
+        let all = "the torques of all joints have the wrong sign: positive ones must accelerate +q; is this a log that counts the other way (--units tau=-Nm or i=-A)?".to_owned();
+        let one = format!(
+            "torque of joint {number} has the wrong sign: it must be positive where it accelerates +q"
+        );
+        let positions =
+            format!("positions of joint {number} count the other way: turn their sign in the log");
+        let (none, some) = (&[][..], &turned[..]);
+        let mut readings = vec![(none, &sound[..], all), (some, none, positions)];
+        if turned.len() < sound.len() {
+            readings.push((none, some, one));
+        }
+        let left = readings.into_iter();
+        let left = left.map(|(positions, torques, text)| (self.left(positions, torques), text));
+        let mut left: Vec<(f64, String)> = left.collect();
+        left.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let most = left[0].0 + SIGN_EVIDENCE;
+        let fits = left.into_iter().filter(|(left, _)| *left < most);
+        let fits: Vec<String> = fits.map(|(_, text)| text).collect();
+        Some(fits.join("; or "))
+    }
+
+    /// Logarithm of what is left of all torques that follow the motion, with those of some joints and the positions of others
+    /// turned.
+    fn left(&self, positions: &[usize], torques: &[usize]) -> f64 {
+        let mut states = self.states.clone();
+        for Motion { q, qd, qdd } in &mut states {
+            for own in [q, qd, qdd] {
+                positions.iter().for_each(|joint| own[*joint] *= -1.0);
+            }
+        }
+        let of_links = links(&RigidBodies::new(&self.bare), &states);
+        let sound = self.joints().filter(|&joint| self.is_sound(joint));
+        let left = sound.map(|joint| {
+            let sign = if torques.contains(&joint) { -1.0 } else { 1.0 };
+            let limit = self.robot.joints[joint].limits.torque;
+            let tau = |row: usize| sign * self.rows[row].1[joint];
+            let explained = explain(joint, &states, &of_links, limit, tau);
+            explained.left(1.0, SOUND_SCALE).ln()
         });
-        let shares: Vec<f64> = shares.collect();
-        let larger = |a: f64, b: &f64| if a.abs() > b.abs() { a } else { *b };
-        let most = shares.iter().fold(0.0, larger);
-        Some(match most < 0.0 && shares.iter().sum::<f64>() < most {
-            true => "the torques of all joints have the wrong sign: positive ones must accelerate +q; is this a log that counts the other way (--units tau=-Nm or i=-A)?".to_owned(),
-            false => format!(
-                "torque of joint {turned} has the wrong sign: it must be positive where it accelerates +q"
-            ),
-        })
+        left.sum()
     }
 
     /// Torques far from the size of the description's, where that has friction, and whether they refuse.

@@ -35,7 +35,7 @@ impl Explained {
     /// Square of what a torque of this sign leaves: friction and rotors of an arm are not negative.
     ///
     /// * `scales` range of the torque over that of the description's links
-    fn left(&self, sign: f64, scales: (f64, f64)) -> f64 {
+    pub(super) fn left(&self, sign: f64, scales: (f64, f64)) -> f64 {
         let (gram, moment, square) = &self.normal;
         let moment = moment * sign;
         let least = [scales.0, 0.0, 0.0, 0.0, f64::NEG_INFINITY];
