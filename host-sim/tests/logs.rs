@@ -329,6 +329,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
             "2000",
             "% of its limit: are the limits placeholders?",
         ),
+        ("good", "2000", "the scale of the torques is unchecked: "),
     ] {
         let identify = format!("identify --robot ur5 --log {log}.csv --torque-limits {limits}");
         assert_contains(

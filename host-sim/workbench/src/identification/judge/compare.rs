@@ -54,6 +54,10 @@ pub(super) fn compare(
     if let Some(text) = compared.gravity(fits.payload) {
         judgement.find(true, text);
     }
+    if compared.heavy().next().is_none() {
+        let text = "the scale of the torques is unchecked: gravity takes no joint above 5 % of its limit; compare the torques with a known weight or inertia";
+        judgement.find(false, text);
+    }
 }
 
 /// Torques of a log beside those of the description.
