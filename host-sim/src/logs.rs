@@ -167,6 +167,7 @@ impl Replay {
             let prepare = PrepareConfig::for_logs(&logs, &robot)?;
             let judgement = judge(&robot, &self.logs, &ColumnSet::default(), &prepare)?;
             sound(&judgement, &self.logs, "--force replays all the same")?;
+            show_warnings(&judgement)?;
         }
         on_arm!(&robot, A, N, P => self.replay::<A, N, P>(&robot))
     }
@@ -199,6 +200,12 @@ impl Replay {
     }
 }
 
+/// Prints the findings that do not refuse.
+fn show_warnings(judgement: &Judgement) -> Result<(), Failure> {
+    let mut warnings = judgement.findings.iter().filter(|it| !it.refuses);
+    warnings.try_for_each(|finding| show!("warning  {}", finding.text))
+}
+
 /// Prints the judgement of `--data-check`.
 ///
 /// Errors: the first finding that refuses; logs that do not show all `parameters`.
@@ -225,9 +232,7 @@ pub(super) fn show_check(judgement: &Judgement, parameters: usize) -> Result<(),
         let [delay, deviation] = [delay_s, deviation_s].map(|time_s| 1e3 * time_s);
         show!("torque delay {delay:.2} ± {deviation:.2} ms")?;
     }
-    for finding in judgement.findings.iter().filter(|finding| !finding.refuses) {
-        show!("warning  {}", finding.text)?;
-    }
+    show_warnings(judgement)?;
     if let Some(finding) = judgement.findings.iter().find(|finding| finding.refuses) {
         return Err(unusable(finding.text.clone()));
     }
