@@ -203,7 +203,8 @@ ForetorqueStatus foretorque_save_bank(struct Foretorque *it,
 ForetorqueStatus foretorque_set_learning(struct Foretorque *it, uint8_t on);
 
 // Asks the learner for what docs/learning.md describes, from the next tick on: 1 takes a snapshot, 2 returns to it, 3 commits
-// what is learnt, 4 sets the payload to zero. What came of it is a decision. `Pending` while the request before still waits.
+// what is learnt, 4 sets the payload to zero. The outcome is a decision. `FORETORQUE_STATUS_PENDING` while the request before
+// still waits.
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way.
@@ -216,8 +217,8 @@ ForetorqueStatus foretorque_request(struct Foretorque *it,
 // `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
 ForetorqueStatus foretorque_quality(struct Foretorque *it, struct ForetorqueQuality *out);
 
-// Writes the decision of the learner with the number `number`, counted from 0. `NoDecision` if it is not made yet, or is no
-// longer among the newest eight; `ForetorqueQuality` has how many there are.
+// Writes the decision of the learner with the number `number`, counted from 0. `FORETORQUE_STATUS_NO_DECISION` if it is not made
+// yet, or is no longer among the newest eight. `ForetorqueQuality` contains their number.
 //
 // # Safety
 // As those of `foretorque_quality`.
@@ -225,9 +226,9 @@ ForetorqueStatus foretorque_decision(struct Foretorque *it,
                                      uint32_t number,
                                      struct ForetorqueDecision *out);
 
-// Runs one tick without the safety: its torque is for a caller that has a safety of its own. `sample` may be null: then none
-// came, and the torque is held for 10 ms and goes to zero after that. The time of `foretorque_tick` does not pass: use one of
-// both.
+// Runs one tick without the safety: its torque is for a caller that has a safety of its own. A null `sample` means that none
+// came: the torque is then held for 10 ms, and goes to zero after that. The time of the safety does not pass here: use either
+// this call or `foretorque_tick`.
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured
@@ -252,14 +253,15 @@ ForetorqueStatus foretorque_tick(struct Foretorque *it,
 // `it` comes from `foretorque_init`, and no other call on it is under way: a tick must not interrupt it.
 ForetorqueStatus foretorque_learn(struct Foretorque *it);
 
-// Lets torque through from the next sample on. Only after three fresh, plausible samples; `Refused` otherwise, with the
-// reason of docs/safety.md at `reason`.
+// Lets torque through from the next sample on. Only after three fresh, plausible samples; `FORETORQUE_STATUS_REFUSED` otherwise,
+// with the reason of docs/safety.md at `reason`.
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
 ForetorqueStatus foretorque_arm(struct Foretorque *it, uint8_t *reason);
 
-// Clears a latched fault; the board is disarmed then. `Refused` while the torque still ramps to zero or a motor is hot.
+// Clears a latched fault; the board is disarmed then. `FORETORQUE_STATUS_REFUSED` while the torque still ramps to zero, or a
+// motor is hot.
 //
 // # Safety
 // As those of `foretorque_arm`.
@@ -272,7 +274,8 @@ ForetorqueStatus foretorque_clear_fault(struct Foretorque *it, uint8_t *reason);
 ForetorqueStatus foretorque_disarm(struct Foretorque *it);
 
 // Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
-// A code that is no fault of docs/safety.md latches 3. An emergency stop also stops learning, until learning is switched off.
+// A code that is no fault of docs/safety.md latches 3. A stop that latches 3 also stops learning, until learning is switched off
+// and on.
 //
 // After a reset, call it with the `latched` that was kept, unless that is 0.
 //
@@ -281,7 +284,7 @@ ForetorqueStatus foretorque_disarm(struct Foretorque *it);
 ForetorqueStatus foretorque_stop(struct Foretorque *it,
                                  uint8_t reason);
 
-// Takes the temperature of the motor of `joint`, counted from 0, degrees C. The torque limit falls from 80 to 100.
+// Takes the temperature of the motor of `joint`, counted from 0, degrees C. From 80 to 100 the torque limit falls to zero.
 //
 // # Safety
 // As those of `foretorque_disarm`.

@@ -273,7 +273,8 @@ pub unsafe extern "C" fn foretorque_set_learning(it: *mut Foretorque, on: u8) ->
 }
 
 /// Asks the learner for what docs/learning.md describes, from the next tick on: 1 takes a snapshot, 2 returns to it, 3 commits
-/// what is learnt, 4 sets the payload to zero. What came of it is a decision. `Pending` while the request before still waits.
+/// what is learnt, 4 sets the payload to zero. The outcome is a decision. `FORETORQUE_STATUS_PENDING` while the request before
+/// still waits.
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way.
@@ -308,8 +309,8 @@ pub unsafe extern "C" fn foretorque_quality(
     unsafe { answer(it, out, quality) }
 }
 
-/// Writes the decision of the learner with the number `number`, counted from 0. `NoDecision` if it is not made yet, or is no
-/// longer among the newest eight; `ForetorqueQuality` has how many there are.
+/// Writes the decision of the learner with the number `number`, counted from 0. `FORETORQUE_STATUS_NO_DECISION` if it is not made
+/// yet, or is no longer among the newest eight. `ForetorqueQuality` contains their number.
 ///
 /// # Safety
 /// As those of `foretorque_quality`.
@@ -337,9 +338,9 @@ pub unsafe extern "C" fn foretorque_decision(
     }
 }
 
-/// Runs one tick without the safety: its torque is for a caller that has a safety of its own. `sample` may be null: then none
-/// came, and the torque is held for 10 ms and goes to zero after that. The time of `foretorque_tick` does not pass: use one of
-/// both.
+/// Runs one tick without the safety: its torque is for a caller that has a safety of its own. A null `sample` means that none
+/// came: the torque is then held for 10 ms, and goes to zero after that. The time of the safety does not pass here: use either
+/// this call or `foretorque_tick`.
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured

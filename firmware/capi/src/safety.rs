@@ -6,8 +6,8 @@ use foretorque_link::wire::Configuration;
 
 use crate::{Foretorque, ForetorqueLimits, ForetorqueSafety, ForetorqueStatus, JOINTS};
 
-/// Lets torque through from the next sample on. Only after three fresh, plausible samples; `Refused` otherwise, with the
-/// reason of docs/safety.md at `reason`.
+/// Lets torque through from the next sample on. Only after three fresh, plausible samples; `FORETORQUE_STATUS_REFUSED` otherwise,
+/// with the reason of docs/safety.md at `reason`.
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
@@ -17,7 +17,8 @@ pub unsafe extern "C" fn foretorque_arm(it: *mut Foretorque, reason: *mut u8) ->
     unsafe { command(it, reason, Safety::arm) }
 }
 
-/// Clears a latched fault; the board is disarmed then. `Refused` while the torque still ramps to zero or a motor is hot.
+/// Clears a latched fault; the board is disarmed then. `FORETORQUE_STATUS_REFUSED` while the torque still ramps to zero, or a
+/// motor is hot.
 ///
 /// # Safety
 /// As those of `foretorque_arm`.
@@ -58,7 +59,8 @@ pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueSta
 }
 
 /// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
-/// A code that is no fault of docs/safety.md latches 3. An emergency stop also stops learning, until learning is switched off.
+/// A code that is no fault of docs/safety.md latches 3. A stop that latches 3 also stops learning, until learning is switched off
+/// and on.
 ///
 /// After a reset, call it with the `latched` that was kept, unless that is 0.
 ///
@@ -83,7 +85,7 @@ pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> For
     }
 }
 
-/// Takes the temperature of the motor of `joint`, counted from 0, degrees C. The torque limit falls from 80 to 100.
+/// Takes the temperature of the motor of `joint`, counted from 0, degrees C. From 80 to 100 the torque limit falls to zero.
 ///
 /// # Safety
 /// As those of `foretorque_disarm`.
