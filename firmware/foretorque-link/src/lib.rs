@@ -12,7 +12,7 @@
 //! | [`hal`], [`drive`] | adapters of motor stage and encoder; the drive of one joint |
 //! | [`write_key`] | authentication of uploads |
 //!
-//! Nothing allocates, nothing blocks, and no input makes a session panic.
+//! Nothing allocates, nothing but the [`store`] blocks, and no input makes a session panic.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 

@@ -54,7 +54,7 @@ const _: () = assert!(headroom_permille(full_torque(7), 1000, LINK_BYTES_S) >= 3
 
 /// Division of the watchdog's oscillator, 17 to 47 kHz (DS8626 table 42): 16, which its register calls 2.
 pub const WATCHDOG_PRESCALER: u8 = 2;
-/// Counts after which a watchdog that is not fed resets the board: 68 to 188 ms: three of the longest periods.
+/// Reload value of a watchdog that resets the board when it is not fed for 68 to 189 ms: three of the longest periods.
 pub const WATCHDOG_RELOAD: u16 = 200;
 
 #[cfg(test)]

@@ -9,10 +9,14 @@
 //! The position line is eq. 17 as printed; velocity and acceleration are its derivatives, which the printed ones are not.
 //!
 //! ```text
-//!            load            start, check passed      at q(0)          stop, end, or a limit
-//!   Empty ────────► Loaded ─────────────────► Approaching ──► Playing ────────────────► Holding / Aborted
-//!                     │ check failed                              (path speed ramped to zero)     │ start: from the beginning
-//!                     └────────► Refused                                                          └ release: Loaded
+//!         load            check passed         start               at q(0)            stop           at rest
+//! Empty ───────► Checking ────────────► Ready ───────► Approaching ───────► Playing ──────► Stopping ───────► Holding
+//!                   │ check failed
+//!                   └────────────► Refused
+//!
+//! Approaching, Playing, Stopping ── a limit is exceeded ──► Aborted, which comes to rest on the path
+//! Playing ── the last period ends ──► Holding
+//! Holding, Aborted at rest ── start ──► Approaching      ── release ──► Ready
 //! ```
 //! A host runs this code through a board in its own process, so both give the same bits.
 

@@ -86,8 +86,8 @@ fn ticks(time_us: u32, period_us: u32) -> u32 {
     time_us.checked_div(period_us).unwrap_or_default() + 1
 }
 
-/// Motor temperature above which the torque limit falls, °C: the 120 °C hot spot of class-E windings, less the difference
-/// between a sensor on the case and the copper.
+/// Motor temperature above which the torque limit falls, °C: the 120 °C of class-E windings, less the difference between the
+/// copper and a sensor on the case.
 pub const WARM_C: i8 = 80;
 /// Motor temperature at which the torque ends, °C.
 pub const HOT_C: i8 = 100;

@@ -67,7 +67,8 @@ pub enum HostMessage<const N: usize> {
     },
     /// Requests the counters. Reply: [`BoardMessage::Statistics`].
     Statistics,
-    /// Restores the state after boot: bank of the firmware, learning off, tick 0, counters 0. A latched fault stays.
+    /// Restores the state of a board with an empty store: bank of the firmware, learning off, tick 0, counters 0, default
+    /// configuration. A latched fault stays.
     /// Refused while armed. Reply: ack.
     Reset,
     /// Lets torque through. Refused with a fault, or without fresh, plausible samples. Reply: ack.

@@ -60,7 +60,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.restart(wanted, &set, mailbox)
     }
 
-    /// The state after boot: these parameters, learning off, tick 0, counters 0. A latched fault stays.
+    /// Restarts with these parameters: learning off, tick 0, counters 0, default configuration. A latched fault stays.
     #[inline(never)]
     pub(in crate::session) fn reset(
         &mut self,
