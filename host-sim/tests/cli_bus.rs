@@ -91,7 +91,7 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
             .map(|line| drive(line) + "\n")
             .collect::<String>()
     };
-    let moteus = "moteus = { kp = 5e4, kd = 5e3, watchdog_s = 0.02, resolution = \"int16\" }";
+    let moteus = "moteus = { kp = 5e4, kd = 5e3, watchdog_s = 0.02, resolution = \"int32\" }";
     write(here.join("moteus.toml"), with_drives(moteus));
     let cia402 = "cia402 = { mode = \"position\", counts_per_turn = 1e6, rated_torque = 40.0 }";
     let slow = with_drives(cia402).replace("rate_hz = 1000.0", "rate_hz = 500.0");

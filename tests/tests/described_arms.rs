@@ -283,6 +283,13 @@ fn identity_is_that_of_its_description<A: Arm<N, P>, const N: usize, const P: us
     assert_eq!(A::HASH, arm_hash(&robot), "{}", A::NAME);
 }
 
+fn defaults_of_the_learner_are_valid<A: Arm<N, P>, const N: usize, const P: usize>() {
+    for period_s in [1e-4, 1e-3, 2e-2] {
+        let checked = LearnerConfig::<N, P>::for_arm::<A>(period_s).validate();
+        assert_eq!(checked, Ok(()), "{} {period_s}", A::NAME);
+    }
+}
+
 fn data_sheet_gives_nominal<A: Arm<N, P>, const N: usize, const P: usize>() {
     let robot = description(A::NAME);
     let links: [LinkInertia; N] = std::array::from_fn(|joint| {
@@ -320,4 +327,11 @@ fn an_arm_and_its_description_have_the_same_identity() {
 fn data_sheet_figures_give_the_nominal_base_parameters() {
     each_arm!(data_sheet_gives_nominal);
     data_sheet_gives_nominal::<Oblique, 4, 27>();
+}
+
+#[test]
+fn a_board_needs_no_check_of_its_learner() {
+    each_arm!(defaults_of_the_learner_are_valid);
+    defaults_of_the_learner_are_valid::<Oblique, 4, 27>();
+    defaults_of_the_learner_are_valid::<Ur5Calibrated, 6, 40>();
 }

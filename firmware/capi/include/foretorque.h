@@ -258,14 +258,16 @@ ForetorqueStatus foretorque_learn(struct Foretorque *it);
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
-ForetorqueStatus foretorque_arm(struct Foretorque *it, uint8_t *reason);
+ForetorqueStatus foretorque_arm(struct Foretorque *it,
+                                uint8_t *reason);
 
 // Clears a latched fault; the board is disarmed then. `FORETORQUE_STATUS_REFUSED` while the torque still ramps to zero, or a
 // motor is hot.
 //
 // # Safety
 // As those of `foretorque_arm`.
-ForetorqueStatus foretorque_clear_fault(struct Foretorque *it, uint8_t *reason);
+ForetorqueStatus foretorque_clear_fault(struct Foretorque *it,
+                                        uint8_t *reason);
 
 // Ramps the torque to zero over the ticks to come, then disarms.
 //
@@ -288,7 +290,9 @@ ForetorqueStatus foretorque_stop(struct Foretorque *it,
 //
 // # Safety
 // As those of `foretorque_disarm`.
-ForetorqueStatus foretorque_temperature(struct Foretorque *it, uint32_t joint, int8_t celsius);
+ForetorqueStatus foretorque_temperature(struct Foretorque *it,
+                                        uint32_t joint,
+                                        int8_t celsius);
 
 // Sets the time that the brakes take to close, microseconds up to 1 s; 0 without brakes. Only while no torque flows; arming
 // needs three samples after it.

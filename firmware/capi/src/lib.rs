@@ -17,12 +17,10 @@ use core::mem::{MaybeUninit, align_of, size_of};
 use core::{ptr, slice};
 
 use foretorque::arm::Arm as _;
-use foretorque::arm::ur5::{
-    Exchange, FeedForward, JOINTS, Learner, LearnerConfig, ParameterSet, Ur5 as Arm,
-};
+use foretorque::arm::ur5::{Exchange, FeedForward, JOINTS, Learner, ParameterSet, Ur5 as Arm};
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointSample, JointVector};
-use foretorque::learning::{LearningSample, Request};
+use foretorque::learning::{LearningSample, Request, StartDeviations};
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::{Safety, SafetyLimits, SafetyReason};
 use foretorque_link::wire::Configuration;
@@ -90,7 +88,7 @@ impl Foretorque {
             let learner = &raw mut (*place).learner;
             learner.write(BLANK);
             (*learner)
-                .restart(LearnerConfig::for_arm::<Arm>(period_s), &set)
+                .restart_for_arm(period_s, &set, &StartDeviations::PRIOR)
                 .ok()
         }
     }

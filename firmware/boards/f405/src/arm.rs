@@ -7,7 +7,7 @@ use core::mem::MaybeUninit;
 
 use crate::counter::Counter;
 use crate::flash_driver::StoreFlash;
-use foretorque::learning::{LearnerConfig, ParameterSet};
+use foretorque::learning::{ParameterSet, StartDeviations};
 use foretorque_link::session::{Housekeeping, Mailboxes, Session};
 
 /// Session of a board.
@@ -23,7 +23,7 @@ pub use foretorque::arm::ur5::{JOINTS, Learner, PARAMETERS, Ur5 as Arm};
 #[cfg(described_arm)]
 include!(concat!(env!("OUT_DIR"), "/described_arm.rs"));
 
-/// Initialises a learner that starts from `prior`; `None` if its configuration does not validate.
+/// Initialises a learner that starts from `prior`; `None` if the period is not positive.
 ///
 /// A function of its own: a frame that passes a learner on by value needs stack for all of it. Generic: so the binary has
 /// one copy of what it calls, and not a second one of this crate.
@@ -38,7 +38,7 @@ pub fn init_learner<A: foretorque::arm::Arm<N, P>, const N: usize, const P: usiz
     // SAFETY: zeros are a value of every field.
     let learner = place.write(const { unsafe { MaybeUninit::zeroed().assume_init() } });
     learner
-        .restart(LearnerConfig::for_arm::<A>(period_s), prior)
+        .restart_for_arm(period_s, prior, &StartDeviations::PRIOR)
         .ok()?;
     Some(learner)
 }

@@ -206,6 +206,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrive
         SafetyReason::None
     }
 
+    /// A master commands its drives in every period: they would keep the last torque.
+    fn silence(&mut self) {
+        if let Side::Master(_) = self.side {
+            self.measure(&mut None, false);
+        }
+    }
+
     /// No torque before every drive is switched on.
     fn holds(&self) -> bool {
         match &self.side {

@@ -273,10 +273,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         }
     }
 
-    /// Emergency stop: torque zero and drives off with the next frames.
-    pub fn stop(&mut self) {
+    /// Emergency stop: torque zero and drives off with the next frames. Learning stops, until it is switched off.
+    pub fn stop(&mut self, mailbox: &mut LearnerMailbox<N, P>) {
         self.safety.torque_off(SafetyReason::Stopped);
         self.feed_forward.applied(self.safety.output());
+        let exchange = &mut mailbox.exchange;
+        self.feed_forward.request_over(Request::Stop, exchange);
         self.drives.stop();
     }
 

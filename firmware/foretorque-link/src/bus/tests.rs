@@ -192,7 +192,10 @@ fn no_drive_is_switched_on_where_torque_may_not_flow() {
     drives.rest(&mut controller, 20);
     let refusal = controller.arm().expect_err("the drives damp");
     assert_eq!(refusal, SafetyReason::StillRamping.into());
-    controller.stop();
+    let mut mailbox = LearnerMailbox::new();
+    controller.stop(&mut mailbox);
+    let request = mailbox.exchange.request.map(|(_, request)| request);
+    assert_eq!(request, Some(foretorque::learning::Request::Stop));
     drives.rest(&mut controller, 20);
     let refusal = controller.arm().expect_err("the stop stands");
     assert_eq!(refusal, SafetyReason::Stopped.into());
@@ -254,6 +257,19 @@ fn a_board_waits_for_drives_that_are_slow_to_switch_on() {
         assert_eq!(flows, ms > 50 + SLOW_MS + 2, "{ms} ms");
     }
     assert_eq!(session.safety().state, SafetyState::Armed);
+    // The host falls silent: the torque ramps to zero on the bus too, the drives damp, then they are off.
+    for ms in 0..1200 {
+        session.timer_tick(&mut mailboxes, &mut FrameBuffer::new(), &mut board);
+        let mut sent = Vec::new();
+        board.follow(&mut session, false, |bus, frame| sent.push((bus, *frame)));
+        for (bus, frame) in drives.answers(&sent, |_, _| true) {
+            board.receive(bus, &frame);
+        }
+        let flows = drives.torque.iter().any(|torque| torque.abs() > 0.05);
+        assert!(flows || ms > 10, "{ms} ms");
+        assert!(!flows || ms < 65, "{ms} ms: {:?}", drives.torque);
+    }
+    assert_eq!(drives.on, [false; 6]);
 }
 
 #[test]

@@ -31,7 +31,7 @@ impl Codec<'_> {
 
     pub(super) fn command(&self, motion: &JointCommand, out: &mut Outgoing<'_>) {
         let resolution = self.scales.resolution;
-        let [position, velocity, torque] = steps(resolution);
+        let [position, velocity, torque] = resolution.steps();
         let unit = match resolution {
             Resolution::Int16 => 1.0 / 32767.0,
             _ => 1.0 / 2_147_483_647.0,
@@ -41,7 +41,7 @@ impl Codec<'_> {
         put(&mut bytes, &[WRITE | form(resolution).0, 5, COMMAND as u8]);
         let kp = motion.kp * TURN / self.scales.kp;
         let kd = motion.kd * TURN / self.scales.kd;
-        let most = largest_scale(resolution);
+        let most = resolution.largest_scale();
         let kp = out.flags.clamp_in(kp, 0.0, most, Saturation::KP);
         let kd = out.flags.clamp_in(kd, 0.0, most, Saturation::KD);
         let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
@@ -174,7 +174,7 @@ impl Codec<'_> {
             turns(reply.velocity),
             reply.torque.unwrap_or_default(),
         ];
-        for (value, step) in values.into_iter().zip(steps(resolution)) {
+        for (value, step) in values.into_iter().zip(resolution.steps()) {
             write(&mut bytes, resolution, value, step, &mut 0.0);
         }
         let celsius = nearest(reply.temperature.unwrap_or_default()).clamp(-127, 127) as i8;
@@ -246,23 +246,6 @@ type Bytes = heapless::Vec<u8, { Frame::CAPACITY }>;
 fn put(bytes: &mut Bytes, more: &[u8]) {
     let fits = bytes.extend_from_slice(more);
     debug_assert!(fits.is_ok(), "longer than a frame");
-}
-
-/// Largest scale of stiffness and damping: integers end at 1.
-pub(super) const fn largest_scale(resolution: Resolution) -> f32 {
-    match resolution {
-        Resolution::Int16 | Resolution::Int32 => 1.0,
-        Resolution::F32 => 1e3,
-    }
-}
-
-/// Steps of position, velocity and torque in turns, turns/s and N·m; 0 for f32.
-pub(super) const fn steps(resolution: Resolution) -> [f32; 3] {
-    match resolution {
-        Resolution::Int16 => [1e-4, 2.5e-4, 1e-2],
-        Resolution::Int32 => [1e-5, 1e-5, 1e-3],
-        Resolution::F32 => [0.0; 3],
-    }
 }
 
 /// Bits 2 and 3 of a subframe's first byte, and bytes of a value.

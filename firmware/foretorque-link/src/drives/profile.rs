@@ -1,6 +1,6 @@
 //! Profile of one drive: protocol, scales, and the place of its joint.
 
-use super::{JointCommand, TURN, moteus};
+use super::{JointCommand, TURN};
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -78,12 +78,12 @@ impl Protocol {
                     Resolution::Int32 => LONG,
                     Resolution::F32 => 0.0,
                 };
-                let steps = moteus::steps(moteus.resolution);
+                let steps = moteus.resolution.steps();
                 let [position, velocity, torque] = steps.map(|step| match counts * step {
                     0.0 => f32::MAX,
                     most => most,
                 });
-                let gain = moteus::largest_scale(moteus.resolution) / TURN;
+                let gain = moteus.resolution.largest_scale() / TURN;
                 Ranges {
                     position: position * TURN,
                     velocity: velocity * TURN,
@@ -132,6 +132,25 @@ pub enum Resolution {
     Int32,
     /// Without a step.
     F32,
+}
+
+impl Resolution {
+    /// Largest scale of stiffness and damping: integers end at 1.
+    pub(super) const fn largest_scale(self) -> f32 {
+        match self {
+            Self::Int16 | Self::Int32 => 1.0,
+            Self::F32 => 1e3,
+        }
+    }
+
+    /// Steps of position, velocity and torque in turns, turns/s and N·m; 0 for f32.
+    pub(super) const fn steps(self) -> [f32; 3] {
+        match self {
+            Self::Int16 => [1e-4, 2.5e-4, 1e-2],
+            Self::Int32 => [1e-5, 1e-5, 1e-3],
+            Self::F32 => [0.0; 3],
+        }
+    }
 }
 
 /// Scales of an ODrive axis. Its gains are configured in the drive.

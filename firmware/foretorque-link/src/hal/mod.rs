@@ -83,7 +83,7 @@ pub struct TorqueScale {
 
 impl TorqueScale {
     /// All three are valid, and the limit lies within the full scale.
-    fn usable(&self) -> bool {
+    pub const fn usable(&self) -> bool {
         let full_scale_nm = self.gain_nm_per_a.abs() * self.full_scale_a;
         full_scale_nm.is_finite() && self.limit_nm > 0.0 && self.limit_nm <= full_scale_nm
     }

@@ -33,7 +33,9 @@ pub(super) struct InputState<const N: usize> {
     /// Desired position that follows those of the samples no faster than a joint moves, N × rad.
     desired: Option<JointVector<N>>,
     /// Position measured last, likewise.
-    pub(super) measured: Option<JointVector<N>>,
+    measured: Option<JointVector<N>>,
+    /// Position of the last plausible measurement, N × rad.
+    pub(super) plausible: Option<JointVector<N>>,
 }
 
 impl<const N: usize> InputState<N> {
@@ -50,6 +52,7 @@ impl<const N: usize> InputState<N> {
             near: false,
             desired: None,
             measured: None,
+            plausible: None,
         }
     }
 
@@ -228,7 +231,10 @@ impl<const N: usize> InputState<N> {
             (true, ..) => SafetyReason::PositionRange,
             (_, true, _) => SafetyReason::PositionJump,
             (.., true) => SafetyReason::EffortRange,
-            _ => SafetyReason::None,
+            _ => {
+                self.plausible = Some(measured.q);
+                SafetyReason::None
+            }
         }
     }
 }

@@ -26,7 +26,7 @@ pub use reason::{SafetyReason, SafetyState, SafetyStatus};
 pub use task_check_in::{Task, TaskCheckIn};
 
 use foretorque::arm::Arm;
-use foretorque::feedforward::{FeedForward, ParameterSet, Torque, gravity};
+use foretorque::feedforward::{FeedForward, FeedForwardState, Torque};
 use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::{Flags, cut, limit};
 use input::InputState;
@@ -224,7 +224,7 @@ impl<const N: usize> Safety<N> {
             self.check(SafetyReason::TorqueNotFinite);
         }
         let armed = self.brake_released();
-        let closing = !armed && self.braking > 0;
+        let closing = self.state == SafetyState::RampDown && self.braking > 0;
         let enabled = self.enabled();
         let target = if armed {
             wanted
@@ -280,19 +280,19 @@ impl<const N: usize> Safety<N> {
         if torque.flags.contains(Flags::GRAVITY_LOST) {
             self.check(SafetyReason::GravityLost);
         }
-        let wanted = self.with_brakes::<A, P>(&torque, feed_forward.state().committed());
+        let wanted = self.with_brakes::<A, P>(&torque, feed_forward.state());
         torque.total = self.release(&wanted);
         feed_forward.applied_within_limits(&torque.total);
         torque
     }
 
-    /// The torque that a tick wants, N × N·m, or that of gravity by the `committed` set at the position measured last, where
-    /// brakes have to close before the torque goes to zero. They close, too, where a warm motor may no longer carry
-    /// gravity.
+    /// The torque that a tick wants, N × N·m, or that of gravity by the committed set and the payload at the last plausible
+    /// position, where brakes have to close before the torque goes to zero. They close, too, where a warm motor may no
+    /// longer carry gravity.
     pub(crate) fn with_brakes<A: Arm<N, P>, const P: usize>(
         &mut self,
         torque: &Torque<N>,
-        committed: &ParameterSet<N, P>,
+        parameters: &FeedForwardState<N, P>,
     ) -> JointVector<N> {
         if self.limits.brake_ticks == 0 {
             return torque.total;
@@ -300,13 +300,15 @@ impl<const N: usize> Safety<N> {
         let withdrawn = torque
             .flags
             .contains(Flags::STALE_SAMPLE | Flags::WITHDRAWN);
-        let closes = withdrawn || self.state == SafetyState::RampDown || self.derating.warm();
-        if let Some(q) = self.input.measured.as_ref().filter(|_| closes) {
-            self.gravity = gravity::<A, N, P>(committed, q);
-            let mut joints = self.gravity.iter().zip(&self.limits.torque).enumerate();
-            if joints.any(|(joint, (gravity, torque))| {
+        let warm = self.derating.warm();
+        let closes = withdrawn || self.state == SafetyState::RampDown || warm;
+        if let Some(q) = self.input.plausible.as_ref().filter(|_| closes) {
+            self.gravity = parameters.gravity::<A>(q);
+            let joints = self.gravity.iter().zip(&self.limits.torque).enumerate();
+            let heavy = |(joint, (gravity, torque)): (usize, (&f32, &f32))| {
                 gravity.abs() > torque * self.derating.factor(joint)
-            }) {
+            };
+            if warm && { joints }.any(heavy) {
                 self.check(SafetyReason::MotorHot);
             }
             if withdrawn {
@@ -411,6 +413,8 @@ impl<const N: usize> Safety<N> {
             // Before the first torque a brake is still closed.
             let open = self.limits.brake_ticks > 0 && !self.unconfirmed;
             self.braking = if open { self.limits.brake_ticks } else { 0 };
+            // Until the next tick computes it.
+            self.gravity = self.output;
             if !open && self.output.iter().all(|&torque| torque == 0.0) {
                 self.rest();
             }

@@ -40,6 +40,10 @@ pub trait LocalSensor<const N: usize> {
     /// the sample is implausible for that reason.
     fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason;
 
+    /// Called once in every period without a tick, where samples pace the board and none has come.
+    #[inline(always)]
+    fn silence(&mut self) {}
+
     /// True while torque has to wait for the drives, although the samples are sound.
     #[inline(always)]
     fn holds(&self) -> bool {

@@ -92,7 +92,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 if wanted.pacing == Pacing::SysTick {
                     board.require(Capabilities::TIMER)?;
                 }
-                controller.configure(wanted, mailbox)?;
+                controller.configure(wanted, board.write_key.is_some(), mailbox)?;
                 protocol.stream.end();
             }
             HostMessage::Learning { on } => {

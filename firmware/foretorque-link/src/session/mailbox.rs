@@ -4,9 +4,7 @@ use crate::bank::Parameters;
 use crate::telemetry::{Cost, CostMeter};
 use crate::wire::NackReason;
 use foretorque::arm::Arm;
-use foretorque::learning::{
-    Exchange, Learner, LearnerConfig, LearningSample, ParameterSet, StartDeviations,
-};
+use foretorque::learning::{Exchange, Learner, LearningSample, ParameterSet, StartDeviations};
 use heapless::spsc::Queue;
 
 /// Period, and set with its deviations, from which the learner restarts.
@@ -121,7 +119,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         {
             // The learner accepts the configuration of every period that the session accepts. If it refused one, it would
             // learn nothing: the samples that follow do not belong to its set.
-            let _ = learner.restart_with(LearnerConfig::for_arm::<A>(period_s), &set, &start);
+            let _ = learner.restart_for_arm(period_s, &set, &start);
         }
         let sample = self.samples.dequeue()?;
         learner.collect(&sample, &mut self.exchange);

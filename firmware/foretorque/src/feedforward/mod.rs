@@ -16,7 +16,7 @@ mod tests;
 pub use crate::learning::{
     JointNetwork, NETWORK_BOUND, NETWORK_HIDDEN, NETWORK_INPUTS, ParameterSet,
 };
-pub use shares::{LEARNED_BOUND, Shares, evaluate, gravity};
+pub use shares::{LEARNED_BOUND, Shares, evaluate};
 pub use state::FeedForwardState;
 pub use step::{FeedForwardScratch, adopt, pause, step, step_stale};
 

@@ -1,6 +1,6 @@
 use super::Torque;
 use crate::arm::Arm;
-use crate::dynamics::{Pose, friction_under, gravity_torque, rnea_of};
+use crate::dynamics::{BaseParameters, Pose, friction_under, gravity_torque, rnea_of};
 use crate::joint::{JointMotion, JointVector};
 use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet, network_output};
 use crate::limits::{Flags, cut};
@@ -75,13 +75,13 @@ pub fn evaluate<A: Arm<N, P>, const N: usize, const P: usize>(
     }
 }
 
-/// Torque of gravity at the position `q`, N × rad, by the rigid bodies of `set`, N × N·m; 0 where it is not plausible.
+/// Torque of gravity at the position `q`, N × rad, by the base parameters `rigid`, N × N·m; 0 where it is not plausible.
 #[inline(never)]
-pub fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
-    set: &ParameterSet<N, P>,
+pub(super) fn gravity<A: Arm<N, P>, const N: usize, const P: usize>(
+    rigid: &BaseParameters<P>,
     q: &JointVector<N>,
 ) -> JointVector<N> {
-    let mut gravity = gravity_torque::<A, N, P>(&set.rigid, q);
+    let mut gravity = gravity_torque::<A, N, P>(rigid, q);
     for (torque, limits) in gravity.as_mut_slice().iter_mut().zip(A::limits()) {
         let plausible = torque.abs() <= RIGID_PLAUSIBLE * limits.torque;
         *torque = if plausible { *torque } else { 0.0 };

@@ -2,7 +2,7 @@
 
 use super::Torque;
 use super::model::{Difference, LearntRange, Loaded};
-use super::shares::evaluate;
+use super::shares::{evaluate, gravity};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, rnea};
 use crate::joint::{JointMotion, JointVector};
@@ -154,6 +154,12 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
                 *network = network.silenced();
             }
         }
+    }
+
+    /// Torque of gravity at the position `q`, N × rad, by the committed set and the payload, N × N·m; 0 where it is not
+    /// plausible.
+    pub fn gravity<A: Arm<N, P>>(&self, q: &JointVector<N>) -> JointVector<N> {
+        gravity::<A, N, P>(&(self.committed().rigid + self.payload), q)
     }
 
     /// The set that stands in for the active one: the one that was last loaded or committed.

@@ -49,7 +49,7 @@ reasons! {
     SnapshotTaken = 10, "snapshot taken";
     /// Payload set to zero, on request. Figure: mass before, kg.
     PayloadZeroed = 11, "payload set to zero";
-    /// Request refused: no snapshot to roll back to. Figure: code of the request.
+    /// Request refused: no snapshot to roll back to, or an emergency stop. Figure: code of the request.
     RequestRefused = 12, "request refused";
     /// Learning frozen: saturated torque.
     FrozenSaturated = 13, "frozen: torque saturated";

@@ -161,7 +161,7 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
     vec![
         ("cyber-gear", over(&Protocol::CyberGear), Some(weak_gear)),
         ("robstride", over(&Protocol::RobStride), Some(weak_stride)),
-        ("moteus int16", moteus(Resolution::Int16), None),
+        ("moteus int32", moteus(Resolution::Int32), None),
         ("moteus f32", moteus(Resolution::F32), None),
         ("odrive", odrive(1000.0), Some(odrive(100.0))),
         ("cia402", cia402(20.0), Some(cia402(2.0))),

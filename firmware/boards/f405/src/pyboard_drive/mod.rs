@@ -39,6 +39,7 @@ const SCALE: TorqueScale = TorqueScale {
     full_scale_a: 16.0,
     limit_nm: 150.0,
 };
+const _: () = assert!(SCALE.usable());
 
 /// Timer of the pulse width, channel 1N on PB13 (Y6), alternate function 1: the one timer whose break input the card has
 /// on a pin, so that a fault of the stage ends the pulses without the processor.

@@ -3,6 +3,7 @@ mod page;
 
 use super::*;
 use foretorque::arm::ur5::{JOINTS as N, Ur5};
+use foretorque::feedforward::{ParameterSet, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion};
 use proptest::prelude::*;
 
@@ -233,11 +234,12 @@ fn the_first_fault_is_the_latched_one_and_what_does_not_flow_needs_no_brake() {
 #[test]
 fn a_brake_closes_before_a_warm_motor_lets_go_and_is_waited_for_at_full_torque() {
     let set = ParameterSet::nominal::<Ur5>(1);
-    let shoulder = gravity::<Ur5, N, 40>(&set, &torque(0.0))[1].abs();
+    let state = FeedForwardState::new(set);
+    let shoulder = state.gravity::<Ur5>(&torque(0.0))[1].abs();
     let mut stretched = sample();
     stretched.desired.q.fill(0.0);
     measured(&mut stretched).q.fill(0.0);
-    let wanted = foretorque::feedforward::evaluate::<Ur5, N, 40>(&set, &stretched.desired);
+    let wanted = evaluate::<Ur5, N, 40>(&set, &stretched.desired);
     for (close_us, celsius) in [
         (0, 95),
         (0, HOT_C),
@@ -249,7 +251,7 @@ fn a_brake_closes_before_a_warm_motor_lets_go_and_is_waited_for_at_full_torque()
         let tick = |safety: &mut Safety<N>| {
             safety.period();
             safety.admit(Some(stretched), 1, NO_FAULT);
-            let wanted = safety.with_brakes::<Ur5, 40>(&wanted, &set);
+            let wanted = safety.with_brakes::<Ur5, 40>(&wanted, &state);
             safety.release(&wanted)[1].abs()
         };
         (0..3).for_each(|_| _ = tick(&mut safety));
@@ -276,21 +278,101 @@ fn a_brake_closes_before_a_warm_motor_lets_go_and_is_waited_for_at_full_torque()
     }
 }
 
+/// An armed board with brakes of 20 ms, and parameters with a payload in the torque.
+fn braked() -> (Safety<N>, FeedForwardState<N, 40>) {
+    let mut safety = armed();
+    safety.limits = limits().with_brake(20_000, 1000);
+    let mut state = FeedForwardState::new(ParameterSet::nominal::<Ur5>(1));
+    state.payload = state.active.rigid * 0.1;
+    (safety, state)
+}
+
+/// A period of a timer without a sample.
+fn unsampled(safety: &mut Safety<N>, state: &FeedForwardState<N, 40>) -> JointVector<N> {
+    safety.period();
+    safety.supervise();
+    let mut withdrawn = evaluate::<Ur5, N, 40>(&state.active, &sample().desired);
+    withdrawn.flags = Flags::STALE_SAMPLE | Flags::WITHDRAWN;
+    let wanted = safety.with_brakes::<Ur5, 40>(&withdrawn, state);
+    safety.release(&wanted)
+}
+
+#[test]
+fn the_torque_of_an_earlier_brake_does_not_flow_after_a_stop() {
+    let (mut safety, state) = braked();
+    safety.disarm();
+    while !safety.at_rest() {
+        unsampled(&mut safety, &state);
+    }
+    ticks(&mut safety, ARM_SAMPLES, Some(sample()));
+    safety.arm().unwrap();
+    ticks(&mut safety, 5, Some(sample()));
+    safety.torque_off(SafetyReason::Stopped);
+    safety.clear().unwrap();
+    ticks(&mut safety, ARM_SAMPLES, Some(sample()));
+    safety.arm().unwrap();
+    for _ in 0..30 {
+        assert_eq!(unsampled(&mut safety, &state), torque(0.0));
+    }
+}
+
+#[test]
+fn a_torque_that_ends_between_two_ticks_is_kept_until_gravity_is_known() {
+    let (mut safety, state) = braked();
+    let before = *safety.output();
+    safety.disarm();
+    safety.period();
+    assert_eq!(safety.release(&before), before);
+    (0..15).for_each(|_| _ = unsampled(&mut safety, &state));
+    let gravity = state.gravity::<Ur5>(&torque(0.5));
+    let plain = FeedForwardState::new(state.active).gravity::<Ur5>(&torque(0.5));
+    assert!((gravity - plain * 1.1).amax() < 1e-3, "with the payload");
+    assert!((safety.output() - gravity).amax() < 1e-3);
+}
+
+#[test]
+fn gravity_is_that_of_the_last_plausible_position() {
+    let (mut safety, state) = braked();
+    let failing = [0.5, 2.0].map(|q| changed(|s| measured(s).q[1] = q));
+    for k in 0.. {
+        tick(&mut safety, Some(failing[k % 2]));
+        if safety.status().state == SafetyState::RampDown {
+            break;
+        }
+    }
+    assert_eq!(safety.latched(), SafetyReason::PositionJump);
+    (0..15).for_each(|_| _ = unsampled(&mut safety, &state));
+    let gravity = state.gravity::<Ur5>(&torque(0.5));
+    assert!((safety.output() - gravity).amax() < 1e-3);
+}
+
+#[test]
+fn a_cold_motor_that_gravity_overloads_is_not_hot() {
+    let (mut safety, state) = braked();
+    safety.limits.torque[1] = 1.0;
+    (0..15).for_each(|_| _ = unsampled(&mut safety, &state));
+    assert_eq!(safety.latched(), SafetyReason::None);
+}
+
 /// The shortest brake closes within one period.
 #[test]
 fn m8_a_torque_that_is_withdrawn_becomes_that_of_gravity_for_every_brake_and_without_one_stays() {
     let set = ParameterSet::nominal::<Ur5>(1);
-    let mut withdrawn = foretorque::feedforward::evaluate::<Ur5, N, 40>(&set, &sample().desired);
+    let mut withdrawn = evaluate::<Ur5, N, 40>(&set, &sample().desired);
     withdrawn.flags = Flags::STALE_SAMPLE | Flags::WITHDRAWN;
     withdrawn.total = torque(1.0);
-    let gravity = gravity::<Ur5, N, 40>(&set, &torque(0.5));
+    let state = FeedForwardState::new(set);
+    let gravity = state.gravity::<Ur5>(&torque(0.5));
     for (close_us, periods, wanted) in [(0, 0, torque(1.0)), (1, 1, gravity), (1000, 2, gravity)] {
         let mut safety = armed();
         safety.limits = limits().with_brake(close_us, 1000);
         assert_eq!(safety.limits.brake_ticks, periods);
-        assert_eq!(safety.with_brakes::<Ur5, 40>(&withdrawn, &set), wanted);
+        assert_eq!(safety.with_brakes::<Ur5, 40>(&withdrawn, &state), wanted);
         withdrawn.flags = Flags::STALE_SAMPLE;
-        assert_eq!(safety.with_brakes::<Ur5, 40>(&withdrawn, &set), torque(1.0));
+        assert_eq!(
+            safety.with_brakes::<Ur5, 40>(&withdrawn, &state),
+            torque(1.0)
+        );
         withdrawn.flags = Flags::STALE_SAMPLE | Flags::WITHDRAWN;
     }
 }

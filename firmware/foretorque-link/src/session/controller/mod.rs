@@ -194,12 +194,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.credit = Some(MAX_CREDIT.min(credit + 1));
         self.safety.supervise();
         let ticked = core::mem::take(&mut self.ticked);
+        if !ticked {
+            sensor.silence();
+        }
         if !self.safety.at_rest() {
             let mut wanted = *self.safety.output();
             if !ticked {
                 let torque = self.feed_forward.pause();
-                let committed = self.feed_forward.state().committed();
-                wanted = self.safety.with_brakes::<A, P>(&torque, committed);
+                let state = self.feed_forward.state();
+                wanted = self.safety.with_brakes::<A, P>(&torque, state);
             }
             self.safety.release(&wanted);
         }

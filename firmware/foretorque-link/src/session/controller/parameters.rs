@@ -50,13 +50,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         Ok(())
     }
 
-    /// Restarts the tick at 0 with another configuration and the active set.
+    /// Restarts the tick at 0 with another configuration and the active set; with a key, which signs what is loaded, without
+    /// what was learnt.
     pub(in crate::session) fn configure(
         &mut self,
         wanted: Configuration,
+        has_key: bool,
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
-        let set = self.feed_forward.state().active;
+        let state = self.feed_forward.state();
+        let source = if has_key {
+            state.committed()
+        } else {
+            &state.active
+        };
+        let mut set = *source;
+        if has_key {
+            state.drop_learnt(&mut set);
+        }
         self.restart(wanted, &set, mailbox)
     }
 

@@ -168,7 +168,7 @@ fn m4_on_a_keyed_board_an_unsigned_order_is_refused_and_changes_nothing() {
 /// A save makes nothing that was learnt the centre of the learner's bounds.
 #[test]
 fn m4_the_bounds_of_learning_stay_around_the_signed_bank() {
-    for keyed in [true, false] {
+    for (keyed, configured) in [(true, false), (true, true), (false, false)] {
         let (mut board, _) = storing_with(keyed.then(|| key(3)));
         let bank = uploaded();
         let permit = |board: &mut Board, message: HostMessage<N>| {
@@ -203,14 +203,21 @@ fn m4_the_bounds_of_learning_stay_around_the_signed_bank() {
         board.acknowledged(HostMessage::Learning { on: false });
         let learnt = board.read_from(BankSource::Committed);
         assert_ne!(learnt, bank);
-        permit(&mut board, HostMessage::Save);
-        permit(&mut board, HostMessage::Restore);
-        let restored = board.read();
         let columns = |bytes: &[u8]| {
             let mut bank = ParameterBank::empty();
             bank.decode_into(bytes).unwrap();
             bank.columns
         };
+        if configured {
+            board.acknowledged(configure(|_| ()));
+            assert_eq!(
+                columns(&board.read_from(BankSource::Committed)),
+                columns(&bank)
+            );
+        }
+        permit(&mut board, HostMessage::Save);
+        permit(&mut board, HostMessage::Restore);
+        let restored = board.read();
         let wanted = if keyed { &bank } else { &learnt };
         assert_eq!(columns(&restored), columns(wanted), "keyed {keyed}");
     }

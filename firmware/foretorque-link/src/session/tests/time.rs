@@ -358,8 +358,7 @@ fn ends(event: &str, close_ms: u16, (kept, zero): (u32, u32)) {
         board.acknowledged(HostMessage::Arm);
         (0..60).for_each(|_| _ = board.period(Some(still)));
         assert!(board.session.brake_released());
-        let committed = *board.session.feed_forward().state().committed();
-        let gravity = foretorque::feedforward::gravity::<Ur5, N, P>(&committed, &q);
+        let gravity = board.session.feed_forward().state().gravity::<Ur5>(&q);
         let full = *board.session.torque_output();
         let silent = ["silence", "time-out"].contains(&event);
         match event {
@@ -427,7 +426,7 @@ fn m8_a_torque_ends_as_the_page_has_it_with_and_without_a_brake() {
             let timed_out = event == "time-out";
             let periods = match row[column] {
                 "the torque falls to zero" => (10, 33),
-                "the torque becomes that of gravity, by the committed set at the position measured last" => {
+                "the torque becomes that of gravity, by the committed set and the payload, at the last plausible position" => {
                     CLOSING[0]
                 }
                 // After a time-out it was zero before.

@@ -159,7 +159,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     ///
     /// Assumes: no sample of a tick before the restart follows.
     /// Errors: the first invalid field of `config`, with the learner unchanged.
-    #[inline(never)]
     pub fn restart_with(
         &mut self,
         config: LearnerConfig<N, P>,
@@ -167,6 +166,35 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         start: &StartDeviations<N, P>,
     ) -> Result<(), ConfigError> {
         config.validate()?;
+        self.restart_checked(config, prior, start);
+        Ok(())
+    }
+
+    /// Restart with the [defaults of the arm](LearnerConfig::for_arm) for a tick of `period_s`, s, in place.
+    ///
+    /// They are valid for every described arm: a board spares the code that checks each field.
+    ///
+    /// Errors: the period is not positive and finite; the learner is unchanged.
+    pub fn restart_for_arm(
+        &mut self,
+        period_s: f32,
+        prior: &ParameterSet<N, P>,
+        start: &StartDeviations<N, P>,
+    ) -> Result<(), ConfigError> {
+        if !(period_s > 0.0 && period_s.is_finite()) {
+            return Err(ConfigError::NotPositive("period_s"));
+        }
+        self.restart_checked(LearnerConfig::for_arm::<A>(period_s), prior, start);
+        Ok(())
+    }
+
+    #[inline(never)]
+    fn restart_checked(
+        &mut self,
+        config: LearnerConfig<N, P>,
+        prior: &ParameterSet<N, P>,
+        start: &StartDeviations<N, P>,
+    ) {
         self.config = config;
         self.state.statistics = LearnerStatistics::NONE;
         self.state.report = LearnerReport::new();
@@ -174,7 +202,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         self.state.next_tick = 0;
         self.state.generation = None;
         self.start_from(prior, start);
-        Ok(())
     }
 
     /// Use only the rows of `joint`, one tick in `N`, for a board that drives one joint; a restart does not change this.

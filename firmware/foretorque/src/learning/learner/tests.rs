@@ -305,6 +305,12 @@ fn an_invalid_configuration_is_refused() {
     );
     let no_period = LearnerConfig::<N, P>::for_arm::<Ur5>(0.0);
     assert!(no_period.validate().is_err());
+    let mut learner = learner();
+    for period_s in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        let restarted = learner.restart_for_arm(period_s, &prior(), &StartDeviations::PRIOR);
+        assert_eq!(restarted, Err(ConfigError::NotPositive("period_s")));
+    }
+    assert!(learner.state.window == MeasurementWindow::new(learner.config.decimation));
 }
 
 #[test]

@@ -143,17 +143,18 @@ pub(crate) fn step(
             },
         ) => match request {
             Request::Snapshot => to(phase, Action::Snapshot, Reason::SnapshotTaken, 0.0),
-            Request::Rollback if snapshot => {
+            // Only switching learning off ends a stop.
+            Request::Rollback if snapshot && phase != Phase::Stopped => {
                 to(Phase::Healthy, Action::Rollback, Reason::RolledBack, 0.0)
             }
-            Request::Rollback => {
+            Request::ZeroPayload if phase != Phase::Stopped => {
+                to(Phase::Healthy, Action::Release, Reason::PayloadZeroed, mass)
+            }
+            Request::Rollback | Request::ZeroPayload => {
                 let code = f32::from(request as u8);
                 to(phase, Action::None, Reason::RequestRefused, code)
             }
             Request::Commit => to(phase, Action::Commit, Reason::Committed, 0.0),
-            Request::ZeroPayload => {
-                to(Phase::Healthy, Action::Release, Reason::PayloadZeroed, mass)
-            }
             Request::Stop => to(Phase::Stopped, Action::Restore, Reason::FrozenStopped, 0.0),
         },
         (Phase::Relearning, Evidence::Round(round)) => {
@@ -289,6 +290,12 @@ mod tests {
                 "Healthy Release PayloadZeroed 2",
             ),
             (Healthy, without(Commit), "Healthy Commit Committed 0"),
+            (Stopped, to_snapshot, "Stopped None RequestRefused 2"),
+            (
+                Stopped,
+                without(ZeroPayload),
+                "Stopped None RequestRefused 4",
+            ),
             (
                 Healthy,
                 without(Snapshot),
