@@ -1,6 +1,5 @@
 //! Constants of the STM32F405RG. Sources: RM0090 (reference manual), DS8626 (data sheet).
 
-use crate::arm::JOINTS;
 use foretorque_link::wire::size::{full_torque, headroom_permille, sample};
 
 /// Internal oscillator, Hz, ± 1 % at room temperature (DS8626 table 41).
@@ -16,7 +15,9 @@ pub const PLL_Q: u8 = 7;
 /// Processor cycles of the shortest period: tick and learning step (120 000 with seven joints, 160 000 with eight), both
 /// directions of the link (25 000) and commands (10 %), by the estimates of docs/budget.md. At 168 MHz 1 ms, and 1.25 ms with
 /// eight joints; ten times as long on the bare oscillator.
-pub const PERIOD_CYCLES: u32 = if JOINTS > 7 { 210_000 } else { 168_000 };
+pub const fn period_cycles(joints: usize) -> u32 {
+    if joints > 7 { 210_000 } else { 168_000 }
+}
 /// Wait states of the flash at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
 pub const FLASH_WAIT_STATES: u8 = 5;
 /// Reads of a ready flag before a clock source is given up. One read takes at least three cycles at 16 MHz, so this

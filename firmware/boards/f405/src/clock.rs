@@ -3,6 +3,7 @@
 use foretorque_link::wire::{ChipStatus, ClockSource};
 use stm32f4xx_hal::pac::{FLASH, RCC};
 
+use crate::arm::JOINTS;
 use crate::{chip, image};
 
 /// Result of the bring-up.
@@ -96,7 +97,7 @@ pub fn status(clocks: &Clocks, flash: &FLASH) -> ChipStatus {
     let options = flash.optcr().read();
     ChipStatus {
         clock: clocks.source,
-        shortest_period_us: chip::PERIOD_CYCLES / (clocks.cpu_hz / 1_000_000),
+        shortest_period_us: chip::period_cycles(JOINTS) / (clocks.cpu_hz / 1_000_000),
         // 0 is the highest level, 3 is off (RM0090 table 14).
         brown_out: 3 - options.bor_lev().bits(),
         read_out_protection: match options.rdp().bits() {
