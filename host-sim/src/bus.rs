@@ -8,7 +8,7 @@ use super::{Failure, not_over, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusJoint, Role, Wires, Wiring};
-use foretorque_link::drives::{Frame, Protocol};
+use foretorque_link::drives::{ControlMode, Frame, Protocol};
 use foretorque_workbench::bus::{
     Ask, BusChoice, BusError, Network, Profile, WiredNetwork, real_time,
 };
@@ -171,6 +171,9 @@ impl RoleName {
             }
             (Self::InLine, Protocol::Cia402(_)) => {
                 Some("in line no torque can be added to the commands of CiA 402 drives")
+            }
+            (Self::InLine, Protocol::Odrive(odrive)) if odrive.mode != ControlMode::Position => {
+                Some("in line its commands need positions: mode = \"position\"")
             }
             _ => None,
         }

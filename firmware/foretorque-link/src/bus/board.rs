@@ -1,9 +1,9 @@
 //! The drives on the buses of a board, between its session and its ports; in line, the motion in the frames that pass.
 
-use super::FaultCause;
 use super::config::{BusJoint, periods};
 use super::drives::{BusDrives, BusPhase};
 use super::joint::JointLink;
+use super::{BusFault, ENABLE_S, FaultCause};
 use crate::copy;
 use crate::drives::{DriveState, Frame, Request};
 use crate::safety::{COMMAND_TIMEOUT_US, SafetyReason, SafetyState};
@@ -83,6 +83,10 @@ pub struct BoardDrives<A: Arm<N, P>, const N: usize, const P: usize> {
     period_us: u32,
     /// A tick has run since the last frames were sent.
     ticked: bool,
+    /// This period has no sample.
+    silent: bool,
+    /// Periods for which arming has waited for replies and scales.
+    waited: u16,
     arm: PhantomData<fn() -> A>,
 }
 
@@ -101,6 +105,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
             },
             period_us: PERIOD_US,
             ticked: false,
+            silent: false,
+            waited: 0,
             arm: PhantomData,
         }
     }
@@ -119,7 +125,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
     }
 
     /// Fault of the drives, as far as the board has found one.
-    pub fn fault(&self) -> Option<super::BusFault> {
+    pub fn fault(&self) -> Option<BusFault> {
         match &self.side {
             Side::Master(drives) => drives.fault(),
             Side::InLine(_) => None,
@@ -169,15 +175,22 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         let mut failed = drives.supervise();
         let enabled = session.torque_enabled();
         match drives.phase() {
-            BusPhase::Off if enabled => {
-                if let Err(fault) = drives.arm() {
-                    drives.fail(fault.joint, fault.cause);
-                }
-            }
+            BusPhase::Off if enabled => match drives.arm() {
+                // After a fault was cleared, scales are read again.
+                Err(BusFault {
+                    cause: FaultCause::Silent | FaultCause::ScaleUnknown(_),
+                    ..
+                }) if self.waited < periods(ENABLE_S, 1e-6 * period_us as f32) => self.waited += 1,
+                Err(fault) => drives.fail(fault.joint, fault.cause),
+                Ok(()) => {}
+            },
             BusPhase::Enabling(_) if !enabled => drives.stop(),
             _ => {}
         }
-        drives.follow(session.desired());
+        if drives.phase() != BusPhase::Off {
+            self.waited = 0;
+        }
+        drives.follow(session.desired().filter(|_| !self.silent));
         drives.advance(enabled, || Ok(()));
         failed |= drives.fault().is_some();
         if failed {
@@ -192,6 +205,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
 impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrives<A, N, P> {
     fn measure(&mut self, sample: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
         self.ticked = true;
+        self.silent = false;
         match &mut self.side {
             Side::Master(drives) => {
                 let given = sample.and_then(|sample| sample.measured);
@@ -210,6 +224,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrive
     fn silence(&mut self) {
         if let Side::Master(_) = self.side {
             self.measure(&mut None, false);
+            self.silent = true;
         }
     }
 

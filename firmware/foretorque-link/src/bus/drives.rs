@@ -11,6 +11,8 @@ use foretorque::joint::{JointMeasurement, JointMotion, JointVector};
 
 /// Weight of a period that lacks a reply; a whole one takes back 1. So one in five is too many.
 const LOSS_WEIGHT: u16 = 4;
+/// Highest temperature that is plausible, °C: a drive may report more.
+const MOST_C: f32 = 125.0;
 /// Periods of a round in which an idle drive is asked for its scales and for a report.
 const IDLE_ROUND: u16 = 4;
 
@@ -114,10 +116,12 @@ impl<const N: usize> BusDrives<N> {
         Some(positions)
     }
 
-    /// Temperatures that the drives have reported: joint, °C.
+    /// Temperatures that the drives have reported, up to 125: joint, °C.
     pub fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
         let links = self.links.iter().enumerate();
-        links.filter_map(|(joint, link)| Some((joint, link.as_ref()?.reply.temperature? as i8)))
+        links.filter_map(|(joint, link)| {
+            Some((joint, link.as_ref()?.reply.temperature?.min(MOST_C) as i8))
+        })
     }
 
     /// Takes a frame that has arrived; foreign frames are counted.
@@ -171,7 +175,14 @@ impl<const N: usize> BusDrives<N> {
 
     /// Switches the drives off with the next frames, without damping.
     pub fn stop(&mut self) {
+        self.switch_off();
+    }
+
+    /// The next frame of each drive switches it off.
+    fn switch_off(&mut self) -> BusPhase {
+        self.idle = IDLE_ROUND - 1;
         self.phase = BusPhase::Off;
+        self.phase
     }
 
     /// Clears a fault; every scale is read again.
@@ -259,7 +270,7 @@ impl<const N: usize> BusDrives<N> {
         let period_s = self.period_s;
         self.phase = match self.phase {
             BusPhase::Off => BusPhase::Off,
-            BusPhase::Enabling(_) if self.fault.is_some() => BusPhase::Off,
+            BusPhase::Enabling(_) if self.fault.is_some() => self.switch_off(),
             BusPhase::Enabling(count) => {
                 let waiting = self.links.iter().position(|link| {
                     link.as_ref().is_some_and(|link| match link.reply.state {
@@ -278,13 +289,13 @@ impl<const N: usize> BusDrives<N> {
                     }
                     Some(cause) => {
                         self.fail(waiting.map(|joint| joint as u8), cause);
-                        BusPhase::Off
+                        self.switch_off()
                     }
                 }
             }
             BusPhase::Running(count) if enabled => BusPhase::Running(count.saturating_add(1)),
             BusPhase::Running(_) => BusPhase::Damping(periods(DAMPING_S, period_s)),
-            BusPhase::Damping(0) => BusPhase::Off,
+            BusPhase::Damping(0) => self.switch_off(),
             BusPhase::Damping(left) => BusPhase::Damping(left - 1),
         };
     }
@@ -362,6 +373,9 @@ impl<const N: usize> BusDrives<N> {
                 }
                 None if matches!(self.phase, BusPhase::Enabling(_)) => {
                     joint.drive.order(Order::Enable, &mut frames);
+                }
+                None if core::mem::take(&mut link.clears) => {
+                    joint.drive.order(Order::ClearFault, &mut frames);
                 }
                 None => {
                     let scale = link.unknown_scale().filter(|_| self.idle % 2 == 1);

@@ -61,6 +61,8 @@ pub(super) struct JointLink {
     desired_before: f32,
     /// Replies in a row that are too far from the desired position.
     far: u8,
+    /// The drive has a fault that the owner has cleared.
+    pub(super) clears: bool,
 }
 
 impl JointLink {
@@ -92,6 +94,7 @@ impl JointLink {
             repeats: 0,
             desired_before: 0.0,
             far: 0,
+            clears: false,
         }
     }
 
@@ -232,8 +235,9 @@ impl JointLink {
     /// Drops the scales, so that they are read again.
     pub(super) fn restart(&mut self) {
         let counters = self.counters;
+        let clears = matches!(self.reply.state, Some(DriveState::Fault(_)));
         *self = Self::new(self.joint);
-        self.counters = counters;
+        (self.counters, self.clears) = (counters, clears);
     }
 }
 

@@ -49,6 +49,8 @@ fn controller(config: BusConfig<6>) -> Result<Controller, Contradiction> {
 struct Drives {
     config: BusConfig<6>,
     on: [bool; 6],
+    /// Faults that keep a drive off until they are cleared.
+    faults: [bool; 6],
     q: [f32; 6],
     torque: [f32; 6],
     order: Vec<u16>,
@@ -59,6 +61,7 @@ impl Drives {
         Self {
             config: config(),
             on: [false; 6],
+            faults: [false; 6],
             q: [0.0; 6],
             torque: [0.0; 6],
             order: Vec::new(),
@@ -105,7 +108,8 @@ impl Drives {
                         let value = [12.5, 30.0, 200.0][scale as usize];
                         joint.drive.reply_scale(scale, value, &mut frames);
                     }
-                    Request::Order(Order::Enable) => self.on[j] = true,
+                    Request::Order(Order::Enable) => self.on[j] = !self.faults[j],
+                    Request::Order(Order::ClearFault) => self.faults[j] = false,
                     Request::Order(Order::Disable) => self.on[j] = false,
                     Request::Command(command) if self.on[j] => {
                         self.torque[j] = command.torque;
@@ -120,10 +124,10 @@ impl Drives {
                     velocity: Some(0.0),
                     torque: Some(0.0),
                     temperature: Some(30.0),
-                    state: Some(if self.on[j] {
-                        DriveState::Enabled
-                    } else {
-                        DriveState::Disabled
+                    state: Some(match (self.on[j], self.faults[j]) {
+                        (_, true) => DriveState::Fault(13),
+                        (true, _) => DriveState::Enabled,
+                        (false, _) => DriveState::Disabled,
                     }),
                 };
                 if frames.is_empty() && change(j, &mut reply) {
@@ -215,6 +219,35 @@ fn no_drive_is_switched_on_where_torque_may_not_flow() {
 }
 
 #[test]
+fn a_stop_switches_every_drive_off_with_its_next_frame() {
+    for periods in 1..6 {
+        let mut drives = Drives::new();
+        let mut controller = drives.started();
+        drives.rest(&mut controller, periods);
+        controller.stop(&mut LearnerMailbox::new());
+        drives.rest(&mut controller, 1);
+        assert_eq!(drives.on, [false; 6], "{periods}");
+    }
+}
+
+#[test]
+fn a_fault_that_is_cleared_is_cleared_in_the_drive_too() {
+    let mut drives = Drives::new();
+    let mut controller = drives.started();
+    (drives.faults[2], drives.on[2]) = (true, false);
+    drives.rest(&mut controller, 600);
+    let fault = controller.drives().fault().expect("of the third drive");
+    assert_eq!(fault.joint, Some(2));
+    controller.clear().unwrap();
+    drives.rest(&mut controller, 20);
+    assert_eq!(drives.faults, [false; 6]);
+    controller.arm().unwrap();
+    drives.rest(&mut controller, 100);
+    assert!(controller.drives().fault().is_none());
+    assert_eq!(drives.on, [true; 6]);
+}
+
+#[test]
 fn a_board_waits_for_drives_that_are_slow_to_switch_on() {
     const SLOW_MS: u32 = 300;
     let wiring = Wiring {
@@ -270,6 +303,34 @@ fn a_board_waits_for_drives_that_are_slow_to_switch_on() {
         assert!(!flows || ms < 65, "{ms} ms: {:?}", drives.torque);
     }
     assert_eq!(drives.on, [false; 6]);
+    // After a fault, scales are read again while the board is armed already.
+    drives.faults[2] = true;
+    for ms in 2000..2600 {
+        session.timer_tick(&mut mailboxes, &mut FrameBuffer::new(), &mut board);
+        let mut messages = std::vec![HostMessage::<6>::Sample(still.in_period(ms as u8 % 32))];
+        if ms == 2010 {
+            messages.push(HostMessage::Arm);
+        }
+        if ms == 2040 {
+            let cause = board.fault().map(|fault| fault.cause);
+            assert_eq!(cause, Some(FaultCause::Drive(13)));
+            messages.extend([HostMessage::ClearFault, HostMessage::Arm]);
+        }
+        for (part, message) in messages.iter().enumerate() {
+            let (mut request, mut reply) = (FrameBuffer::new(), FrameBuffer::new());
+            request
+                .push((4 * ms + part as u32) as u16, message)
+                .unwrap();
+            session.receive(request.as_bytes(), &mut mailboxes, &mut reply, &mut board);
+        }
+        let mut sent = Vec::new();
+        board.follow(&mut session, false, |bus, frame| sent.push((bus, *frame)));
+        for (bus, frame) in drives.answers(&sent, |_, _| true) {
+            board.receive(bus, &frame);
+        }
+    }
+    assert_eq!(session.safety().state, SafetyState::Armed);
+    assert_eq!(drives.on, [true; 6]);
 }
 
 #[test]

@@ -130,8 +130,10 @@ pub struct Bridge<P, const N: usize> {
     lost: u32,
 }
 
-/// Frames that wait for a busy bus, each way: 1.7 ms of MIT frames.
-const QUEUE: usize = 16;
+/// Frames that wait for a busy bus, each way: three of each drive of an arm with eight joints.
+const QUEUE: usize = 24;
+/// Frames taken from a port in one call.
+const TAKEN: usize = 16;
 
 impl<P: Port, const N: usize> Bridge<P, N> {
     /// A bridge between two started ports.
@@ -165,13 +167,13 @@ impl<P: Port, const N: usize> Bridge<P, N> {
     ///
     /// * `now` count of the clock of [`InLine`]
     ///
-    /// Cost: at most 16 frames each way.
+    /// Cost: at most 16 frames in and 24 out each way.
     pub fn pass(&mut self, now: u32, mut seen: impl FnMut(u8, &Frame)) {
         let [host, drives] = &mut self.ports;
         let [to_host, to_drives] = &mut self.queues;
         let ways = [(host, to_drives), (drives, to_host)];
         for (way, (port, queue)) in ways.into_iter().enumerate() {
-            for _ in 0..QUEUE {
+            for _ in 0..TAKEN {
                 let Some(mut frame) = port.receive() else {
                     break;
                 };

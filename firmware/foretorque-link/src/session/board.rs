@@ -41,14 +41,10 @@ pub trait LocalSensor<const N: usize> {
     fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason;
 
     /// Called once in every period without a tick, where samples pace the board and none has come.
-    #[inline(always)]
-    fn silence(&mut self) {}
+    fn silence(&mut self);
 
     /// True while torque has to wait for the drives, although the samples are sound.
-    #[inline(always)]
-    fn holds(&self) -> bool {
-        false
-    }
+    fn holds(&self) -> bool;
 }
 
 /// A board without a sensor: the host measures every joint.
@@ -59,6 +55,14 @@ impl<const N: usize> LocalSensor<N> for NoLocalSensor {
     #[inline(always)]
     fn measure(&mut self, _: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
         SafetyReason::None
+    }
+
+    #[inline(always)]
+    fn silence(&mut self) {}
+
+    #[inline(always)]
+    fn holds(&self) -> bool {
+        false
     }
 }
 

@@ -139,7 +139,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
 
     /// Takes the temperature of one motor, °C, that the board has measured itself.
     pub fn note_temperature(&mut self, joint: usize, celsius: i8) {
-        self.controller.safety.note_temperature(joint, celsius);
+        self.controller.note_temperature(joint, celsius);
     }
 
     /// Desired motion of the last tick, with that of an excitation; `None` where it had no usable sample.

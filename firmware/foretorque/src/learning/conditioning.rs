@@ -62,6 +62,8 @@ pub struct MeasurementWindow<const N: usize> {
     /// Ticks of a sample, and those in the sample in progress.
     decimation: u32,
     ticks: u32,
+    /// Ticks since the newest sample was complete.
+    since_sample: usize,
     /// Sum over the sample in progress.
     sum: JointMeasurement<N>,
     /// Measurement of the last tick, accepted or bridged.
@@ -94,6 +96,7 @@ impl<const N: usize> MeasurementWindow<N> {
             torque_next: 0,
             decimation,
             ticks: 0,
+            since_sample: 0,
             sum: zero,
             last: zero,
             gap: 0,
@@ -136,6 +139,7 @@ impl<const N: usize> MeasurementWindow<N> {
     ///
     /// A gap longer than [`MAX_BRIDGED`] empties the window.
     pub fn push(&mut self, measured: Option<&JointMeasurement<N>>) {
+        self.since_sample = self.since_sample.saturating_add(1);
         let arrived = measured.copied().filter(is_finite);
         let accepted = arrived.filter(|arrived| self.is_empty() || *arrived != self.last);
         let Some(measured) = accepted else {
@@ -214,7 +218,7 @@ impl<const N: usize> MeasurementWindow<N> {
     fn complete_sample(&mut self) {
         let sum = self.sum;
         let part = 1.0 / self.ticks as f32;
-        self.ticks = 0;
+        (self.ticks, self.since_sample) = (0, 0);
         for (q, &sum) in self.q.iter_mut().zip(sum.q.as_slice()) {
             let (first, second) = q.split_at_mut(TAPS);
             for half in [first, second] {
@@ -246,8 +250,8 @@ impl<const N: usize> MeasurementWindow<N> {
     /// Cost: `5 · DELAY` multiply-adds a joint.
     #[inline(never)]
     pub fn conditioned(&self, inv_period: f32) -> Option<ConditionedSample<N>> {
-        // No joint uses a sample twice.
-        let fresh = self.gap == 0 || self.gap + self.decimation as usize <= N;
+        // No joint uses a sample twice: the newest one ended after the last turn of this joint.
+        let fresh = self.since_sample < N;
         if self.filled < TAPS || !fresh {
             return None;
         }

@@ -69,6 +69,8 @@ struct JointEvidence {
     power: f32,
     /// Rows in the sums, as far as the memory reaches.
     rows: f32,
+    /// Part of these that the next row takes off.
+    fading: f32,
     /// Range of the velocity, negative and positive, rad/s.
     velocity: [f32; 2],
     /// Range of the torque of the loaded set.
@@ -80,17 +82,10 @@ impl JointEvidence {
         cross: 0.0,
         power: 0.0,
         rows: 0.0,
+        fading: 0.0,
         velocity: [0.0; 2],
         load: [0.0; 2],
     };
-
-    // Called for each joint, in place of six copies.
-    #[inline(never)]
-    fn fade(&mut self, part: f32) {
-        self.cross *= part;
-        self.power *= part;
-        self.rows *= part;
-    }
 }
 
 /// Widens a range to `value`, by a step at most; its old size over the new one on that side.
@@ -163,8 +158,10 @@ impl<const N: usize> ShareEvidence<N> {
             return;
         }
         let growth = widen(&mut own.velocity, qd) * widen(&mut own.load, loaded);
-        let rows = own.rows + 1.0;
-        let kept = own.rows / rows * growth;
+        let part = 1.0 - core::mem::take(&mut own.fading);
+        let before = part * own.rows;
+        let rows = before + 1.0;
+        let kept = part * before / rows * growth;
         own.cross = kept * own.cross + product;
         own.power = kept * own.power + weight * change * change;
         own.rows = rows.min(memory);
@@ -174,9 +171,12 @@ impl<const N: usize> ShareEvidence<N> {
         self.agreement += agrees - self.agreement / (memory * N as f32);
     }
 
-    /// Let all rows so far count as `part` of them: those to come decide soon.
+    /// Let the rows of a joint count as `part` of them from its next row on: those to come decide soon. A joint at rest keeps
+    /// its share.
     pub(super) fn fade(&mut self, part: f32) {
-        self.joints.iter_mut().for_each(|own| own.fade(part));
+        self.joints
+            .iter_mut()
+            .for_each(|own| own.fading = 1.0 - part);
     }
 
     /// True if the measured torques oppose those of the loaded set: sensors or drives have the wrong sign.

@@ -12,7 +12,7 @@
 //! Where a sample requests it, the reply waits until `learn` has used the learning sample and wakes `tick` again.
 //!
 //! `tick` reads the frames that [`FrameBound`] allows, and none while replies have no space. The rest stays in the ring until
-//! the next timer tick or byte.
+//! the next timer tick, end of a frame, or end of the replies.
 //!
 //! `tick` and `learn` sit on the vectors of two external interrupts that no pin uses, and are pended by software.
 

@@ -93,6 +93,7 @@ pub fn interrupt() {
             Order::Add(torques) => bridge.add(torques.as_ref(), counter::now()),
         }
     }
+    let before = bridge.lost();
     let (mut any, mut full) = (false, 0);
     bridge.pass(counter::now(), |port, frame| {
         any = true;
@@ -100,7 +101,7 @@ pub fn interrupt() {
     });
     let off = bridge.ports().iter_mut().any(FramePort::is_off);
     OFF.store(off, Ordering::Relaxed);
-    link::add(&LOST, full);
+    link::add(&LOST, full + bridge.lost().wrapping_sub(before));
     if any {
         rtic::pend(TICK);
     }
@@ -124,6 +125,12 @@ impl LocalSensor<JOINTS> for Sensor {
         match &mut self.0 {
             Some(drives) => drives.measure(sample, at_rest),
             None => SafetyReason::Drive,
+        }
+    }
+
+    fn silence(&mut self) {
+        if let Some(drives) = &mut self.0 {
+            drives.silence();
         }
     }
 

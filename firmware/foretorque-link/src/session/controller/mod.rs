@@ -143,10 +143,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         sensor: &mut S,
     ) -> Option<TickResult<N>> {
         let joint = usize::from(sample.flags.period()) % N;
-        if let Some(slot) = self.temperatures_c.get_mut(joint) {
-            *slot = sample.temperature_c;
-        }
-        self.safety.note_temperature(joint, sample.temperature_c);
+        self.note_temperature(joint, sample.temperature_c);
         let runs = self.configuration.pacing == Pacing::Link
             && match &mut self.credit {
                 None => {
@@ -171,6 +168,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             self.counters.overtaken = self.counters.overtaken.saturating_add(1);
         }
         None
+    }
+
+    /// Takes the temperature of a motor, °C, that host or board has measured.
+    pub(super) fn note_temperature(&mut self, joint: usize, celsius: i8) {
+        if celsius != SampleFrame::<N>::NO_TEMPERATURE
+            && let Some(slot) = self.temperatures_c.get_mut(joint)
+        {
+            *slot = celsius;
+        }
+        self.safety.note_temperature(joint, celsius);
     }
 
     /// One period of the board's timer: the tick on the newest sample where the timer paces the board. Where samples pace

@@ -61,6 +61,12 @@ impl Cell {
         cell
     }
 
+    fn request(&mut self, request: Request) {
+        let board = &mut self.board;
+        let asked = board.feedforward.request(request, &mut board.exchange);
+        assert!(asked.is_ok(), "{request:?}");
+    }
+
     fn steps(&mut self, ticks: u32) {
         (0..ticks).for_each(|_| _ = self.step());
     }
@@ -243,14 +249,42 @@ fn a_lasting_force_that_was_learnt_is_out_of_the_torque_soon_after_its_end() {
     assert!(cell.board.learner.state().share().joint[2] > 0.5);
     cell.decisions();
     cell.plant.push[2] = 0.0;
-    let wrong = (0..8000).filter(|_| {
+    // The payload test lasts 3 s, relearning 5 s.
+    let wrong = (0..5000).filter(|_| {
         let (sample, torque) = cell.step();
         cell.error(&sample, &torque) > 0.05
     });
-    // The payload test lasts 3 s, relearning 5 s.
     let wrong = wrong.count();
     assert!(wrong < 4000, "{wrong} ticks");
-    assert!(has(&cell.decisions(), Reason::Alarm));
+    assert!(has(&cell.decisions(), Reason::Relearning));
+    // A stop does not bring the shares of before back.
+    let share = |cell: &Cell| cell.board.learner.state().share().joint[2];
+    let before = share(&cell);
+    cell.request(Request::Stop);
+    cell.steps(100);
+    assert!(before < 0.2 && (share(&cell) - before).abs() < 0.1);
+}
+
+#[test]
+fn a_rollback_under_a_payload_outlasts_its_release() {
+    let mut cell = Cell::settled();
+    cell.request(Request::Snapshot);
+    cell.steps(100);
+    let sound = *cell.board.active();
+    // What is learnt from then on is wrong.
+    cell.plant.push[2] = 10.0;
+    cell.steps(20_000);
+    let off = |cell: &Cell| (cell.board.active().rigid - sound.rigid).amax();
+    assert!(off(&cell) > 0.03, "{}", off(&cell));
+    cell.decisions();
+    cell.plant.body += cube(3.0);
+    cell.steps(1000);
+    assert!(has(&cell.decisions(), Reason::Promoted));
+    for request in [Request::Rollback, Request::ZeroPayload] {
+        cell.request(request);
+        cell.steps(2 * N as u32);
+    }
+    assert!(off(&cell) < 0.01, "{}", off(&cell));
 }
 
 #[test]

@@ -21,9 +21,9 @@ use crate::math::sqrt;
 const LEAST_BLOCK_VARIANCE: f32 = 0.1;
 /// Memory of the usual variance, blocks; the first ones are averaged.
 const BLOCK_MEMORY: u32 = 256;
-/// Correlation length of the friction error, blocks: 1 s. Averaging blocks does not reduce this error, so its variance
-/// counts as many times.
-const FRICTION_CORRELATION: f32 = 100.0;
+/// Correlation length of the friction error, parts of the time for which errors of the estimate last: 1 s. Averaging blocks
+/// does not reduce this error, so its variance counts once for each of them.
+const FRICTION_CORRELATION: f32 = 2.0 / 3.0;
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of learning: average the block, process one joint of the last block, learn one row of `joint`.
@@ -57,6 +57,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             if turn + 1 == N {
                 self.decide(tick);
             }
+        }
+        if self.only_joint.is_some_and(|only| only != joint) {
+            // The torque of the other joints is not used, so its step does not limit following.
+            return Some(0.0);
         }
         self.learn_row(tick, joint, sample, &pose)
     }
@@ -143,7 +147,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             supervisor.payload_test.add_rest(payload, tau, variance);
             return;
         }
-        let inflated = unit * sqrt(noise + FRICTION_CORRELATION * friction_variance);
+        let correlated = FRICTION_CORRELATION * config.lasting_blocks as f32;
+        let inflated = unit * sqrt(noise + correlated * friction_variance);
         // Thresholds are in variances of one measurement, not of a mean.
         let sigma = unit * sqrt(AVERAGED as f32 * measured);
         let lasting = error * config.lasting_blocks as f32;
@@ -200,13 +205,19 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             return;
         }
         let supervisor = &mut self.state.supervisor;
-        let mut usual = 0.0;
+        let (mut usual, mut known) = (0.0, 0.0);
         let joints = supervisor.block_variance.iter();
-        for ((square, _), measured) in joints.zip(self.state.estimate.variance()) {
-            usual += square / (AVERAGED as f32 * measured * N as f32);
+        for ((square, blocks), measured) in joints.zip(self.state.estimate.variance()) {
+            if *blocks > 0 {
+                usual += square / (AVERAGED as f32 * measured);
+                known += 1.0;
+            }
+        }
+        if known > 0.0 {
+            usual /= known;
         }
         let carries_payload = supervisor.carries_payload;
-        let single = self.only_joint.is_some();
+        let single = self.only_joint.is_some() || N == 1;
         let decision = if supervisor.payload_costs(config) {
             Some(PayloadDecision::Release)
         } else {

@@ -166,7 +166,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         start: &StartDeviations<N, P>,
     ) -> Result<(), ConfigError> {
         config.validate()?;
-        self.restart_checked(config, prior, start);
+        self.config = config;
+        self.restart_configured(prior, start);
         Ok(())
     }
 
@@ -174,31 +175,26 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     ///
     /// They are valid for every described arm: a board spares the code that checks each field.
     ///
-    /// Errors: the period is not positive and finite; the learner is unchanged.
+    /// Errors: the period is not between 10 µs and 0.1 s; the learner is unchanged.
     pub fn restart_for_arm(
         &mut self,
         period_s: f32,
         prior: &ParameterSet<N, P>,
         start: &StartDeviations<N, P>,
     ) -> Result<(), ConfigError> {
-        if !(period_s > 0.0 && period_s.is_finite()) {
-            return Err(ConfigError::NotPositive("period_s"));
+        if !(1e-5..=0.1).contains(&period_s) {
+            return Err(ConfigError::TooLarge("period_s"));
         }
-        self.restart_checked(LearnerConfig::for_arm::<A>(period_s), prior, start);
+        self.config = LearnerConfig::for_arm::<A>(period_s);
+        self.restart_configured(prior, start);
         Ok(())
     }
 
     #[inline(never)]
-    fn restart_checked(
-        &mut self,
-        config: LearnerConfig<N, P>,
-        prior: &ParameterSet<N, P>,
-        start: &StartDeviations<N, P>,
-    ) {
-        self.config = config;
+    fn restart_configured(&mut self, prior: &ParameterSet<N, P>, start: &StartDeviations<N, P>) {
         self.state.statistics = LearnerStatistics::NONE;
         self.state.report = LearnerReport::new();
-        self.state.window = MeasurementWindow::new(config.decimation);
+        self.state.window = MeasurementWindow::new(self.config.decimation);
         self.state.next_tick = 0;
         self.state.generation = None;
         self.start_from(prior, start);
@@ -274,10 +270,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let generation = sample.generation;
         let current = *self.state.generation.get_or_insert(generation) == generation;
         let learns = current && self.may_learn(sample);
-        if learns && self.only_joint.is_some_and(|only| only != joint) {
-            // The torque of the other joints is not used, so its step does not limit following.
-            step = Some(0.0);
-        } else if learns {
+        if learns {
             match self.state.window.conditioned(self.config.inv_period) {
                 Some(conditioned) if prepared => {
                     step = self.process_sample(sample.tick, joint, &conditioned);

@@ -308,7 +308,7 @@ fn an_invalid_configuration_is_refused() {
     let mut learner = learner();
     for period_s in [0.0, -1.0, f32::NAN, f32::INFINITY] {
         let restarted = learner.restart_for_arm(period_s, &prior(), &StartDeviations::PRIOR);
-        assert_eq!(restarted, Err(ConfigError::NotPositive("period_s")));
+        assert_eq!(restarted, Err(ConfigError::TooLarge("period_s")));
     }
     assert!(learner.state.window == MeasurementWindow::new(learner.config.decimation));
 }

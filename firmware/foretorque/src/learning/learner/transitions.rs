@@ -108,7 +108,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             Action::Release => state.release_payload(),
             Action::Relearn => {
-                state.supervisor.next_raised = 0;
+                let supervisor = &mut state.supervisor;
+                supervisor.next_raised = 0;
+                // The change under a payload is learnt.
+                let carried = supervisor.blocks_carried;
+                supervisor.blocks_carried = carried.max(self.config.supervisor.pause_blocks);
                 // As much as one block of correlated rows.
                 let memory_s = self.config.supervisor.share_memory_s;
                 let evidence = &mut state.supervisor.learnt.evidence;
@@ -123,8 +127,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             Action::Rollback => {
                 if let Some((learnt, network)) = state.snapshot {
                     state.active.network = network;
+                    state.trainer.reset(&network);
                     state.supervisor.learnt = learnt;
                     state.estimate.move_to(&learnt.set);
+                    // A payload that is released later restores these.
+                    let before = &mut state.supervisor.before_payload;
+                    (before.estimate, before.learnt) = (learnt.set, learnt);
                     state.restored = true;
                     state.blend();
                 }
@@ -232,6 +240,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
         }
         learnt.share.rigid = learnt.evidence.common(&learnt.share.joint);
+        if !moves_set {
+            // A stop must not bring the shares of before relearning back.
+            state.supervisor.checkpoints[1].learnt = state.supervisor.learnt;
+        }
         state.blend();
     }
 }

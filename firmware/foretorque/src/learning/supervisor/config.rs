@@ -91,8 +91,10 @@ impl SupervisorConfig {
         // Each joint of a block is processed in a tick of its own.
         let shortest = N as u32 + 1;
         let rated = rated_payload::<A, N, P>();
+        let block_ticks = block_ticks.max(shortest);
+        let blocks = |time_s: f32| (time_s * inv_period / block_ticks as f32 + 0.5) as u32;
         Self {
-            block_ticks: block_ticks.max(shortest),
+            block_ticks,
             detector: DetectorConfig {
                 clip: 9.5,
                 drift: 3.2,
@@ -103,18 +105,18 @@ impl SupervisorConfig {
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.03 * rated,
             payload_evidence: 60.0,
-            lasting_blocks: 150,
+            lasting_blocks: blocks(1.5),
             quiet_level: 0.5,
             decision_blocks: 5,
-            timeout_blocks: 300,
-            payload_update_blocks: 1000,
+            timeout_blocks: blocks(3.0),
+            payload_update_blocks: blocks(10.0),
             share_memory_s: 20.0,
             relearning_ticks: (5.0 * inv_period) as u32,
             commit_ticks: (8.0 * inv_period) as u32,
             following_share: (0.5, 0.25),
             checkpoint_ticks: (0.128 * inv_period + 0.5) as u32,
             raised_variance: 0.05,
-            pause_blocks: 3000,
+            pause_blocks: blocks(30.0),
             training_rows: 4096,
             trust_floor: 0.7,
         }
@@ -166,6 +168,8 @@ mod tests {
         for (period_s, ticks) in [(250e-6, 40), (1e-3, 10), (1.4e-3, 7), (4e-3, 7), (20e-3, 7)] {
             let config = LearnerConfig::for_arm::<Ur5>(period_s);
             assert_eq!(config.supervisor.block_ticks, ticks, "{period_s} s");
+            let test_s = (config.supervisor.timeout_blocks * ticks) as f32 * period_s;
+            assert!((test_s / 3.0 - 1.0).abs() < 0.05, "{test_s} s");
         }
     }
 }

@@ -31,7 +31,8 @@ const FADE: f32 = 0.75;
 /// First blocks, whose residuals do not count against the hypothesis.
 const WARM_UP: u32 = 2;
 /// Least faded number of rows for a decision: one moving joint is no evidence of a payload.
-const MIN_ROWS: f32 = 8.0;
+/// Two moving joints approach 8.
+const MIN_ROWS: f32 = 7.5;
 /// Least faded number of rows with a learner of one joint: enough to see the end of a disturbance, never to promote.
 const MIN_ROWS_SINGLE: f32 = 3.0;
 /// Part of the mean square residual of a large disturbance that a hypothesis may leave.
