@@ -62,11 +62,15 @@ impl TableWriter {
         Ok(Self { csv, mcap: None })
     }
 
-    /// Starts a table as CSV, and as MCAP beside it.
+    /// Starts a table as CSV, and as MCAP beside it; as MCAP alone where the name ends in `.mcap`.
     ///
     /// Errors: the file system's.
     pub fn with_mcap(path: &Path, header: &[String]) -> io::Result<Self> {
-        let beside = McapTable::create(&path.with_extension("mcap"), header)?;
+        let beside = path.with_extension("mcap");
+        if beside == path {
+            return Self::create(path, header);
+        }
+        let beside = McapTable::create(&beside, header)?;
         Ok(Self {
             mcap: Some(Box::new(beside)),
             ..Self::create(path, header)?
@@ -295,6 +299,20 @@ mod tests {
             lengths.len() > 3 && *lengths.last().expect("some") > ROWS as usize / 2,
             "{lengths:?}"
         );
+    }
+
+    #[test]
+    fn a_table_named_mcap_is_written_as_mcap_alone() {
+        let here = tempfile::tempdir().expect("creates");
+        for (name, has_csv) in [("alone.mcap", false), ("both.csv", true)] {
+            let path = here.path().join(name);
+            let header = ["t_s".to_owned()];
+            let mut table = TableWriter::with_mcap(&path, &header).expect("creates");
+            table.row([1.0]).expect("writes");
+            table.finish().expect("finishes");
+            let found = ["mcap", "csv"].map(|end| path.with_extension(end).exists());
+            assert_eq!(found, [true, has_csv], "{name}");
+        }
     }
 
     #[test]
