@@ -11,10 +11,14 @@ use foretorque_link::wire::NackReason;
 use foretorque_studies::excitation::recount;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{BoardError, Client, Native, Transport};
+use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig};
+use foretorque_workbench::dynamics::{ReferenceModel, State};
 use foretorque_workbench::excitation::{
     Certificate, Criterion, Excitation, QuickConfig, SearchConfig, optimise,
 };
+use foretorque_workbench::plant::{Plant, PlantConfig, ReportFaults};
 use foretorque_workbench::robot::Robot;
+use foretorque_workbench::trajectory::Trajectory;
 use std::f64::consts::PI;
 use std::time::Duration;
 
@@ -255,6 +259,36 @@ fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
     }
     let emulated = play(&mut emulated(), 0.0);
     assert!(emulated == replies, "the emulator differs");
+}
+
+#[test]
+fn the_desired_motion_stands_still_where_a_report_is_lost() {
+    let mut board = native();
+    board.load_excitation(&program()).expect("it is taken");
+    let robot = ur5();
+    let model = ReferenceModel::<N>::new(&robot).expect("six joints");
+    let pd = PdConfig::tuned(&model, 6.0, 1e-3);
+    let plant = Plant::<N>::new(&robot, PlantConfig::default(), 1).expect("six joints");
+    let mut plant = plant.with_faults(ReportFaults {
+        lost: 0.1,
+        ..ReportFaults::NONE
+    });
+    let beside = State::rest(excitation().at::<N>(0.0).q.add_scalar(-0.1));
+    let path = Trajectory::Sampled(vec![(0.0, beside)]);
+    let play = ClosedLoop::new(&mut plant, &pd, &path, 1e-3, Some(&mut board));
+    let mut play = play.expect("armed");
+    let started = board.excitation(ExcitationCommand::Start);
+    started.expect("it may be started");
+    let (mut before, mut lost) = (beside.q, 0);
+    for _ in 0..TICKS {
+        let record = play.tick(&mut plant, Some(&mut board)).expect("a torque");
+        let step = (record.desired.q - before).amax();
+        assert!(step < 0.01, "{step} rad at {} s", record.t_s);
+        let moving = record.stage == Some(ExcitationState::Playing);
+        lost += usize::from(moving && record.reported.is_none());
+        before = record.desired.q;
+    }
+    assert!(lost > 100, "{lost}");
 }
 
 #[test]

@@ -61,6 +61,8 @@ pub struct ClosedLoop<'t, const N: usize> {
     tick: usize,
     desired: State<N>,
     answer: JointVector<N>,
+    /// What the last reply had of the board's own excitation.
+    excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
 impl<'t, const N: usize> ClosedLoop<'t, N> {
@@ -103,6 +105,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             tick: 0,
             desired,
             answer,
+            excited: None,
         })
     }
 
@@ -114,7 +117,8 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         plant: &mut Plant<N>,
         board: Option<&mut Client<N>>,
     ) -> Result<TickRecord<N>, BoardError> {
-        let mut excited = None;
+        // Without a reply the last motion stands.
+        let mut excited = self.excited;
         let mut record = self.tick_with(plant, |sample| {
             let Some(board) = board else {
                 return Ok(None);
@@ -131,6 +135,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
                 flags: reply.flags.0,
             }))
         })?;
+        self.excited = excited;
         if let Some((stage, motion)) = excited {
             // The board chose what the arm shall do in the next tick.
             record.stage = Some(stage);
