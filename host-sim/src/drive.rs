@@ -293,7 +293,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let out = &self.arguments.out;
         let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
         let played = self.tracking(network, self.arguments.alone, &mut |record| {
-            Ok(log.add(record, record.measured)?)
+            Ok(log.add(record)?)
         })?;
         log.finish()?;
         let controller = &played.player.controller;

@@ -2,7 +2,6 @@
 
 use foretorque_workbench::closed_loop::TickRecord;
 use foretorque_workbench::dynamics::Joints;
-use foretorque_workbench::plant::Measurement;
 use foretorque_workbench::table::{TableWriter, joint_columns, state_columns};
 use nalgebra::{Matrix3, SMatrix};
 use std::collections::VecDeque;
@@ -71,8 +70,12 @@ impl<const N: usize> MotionLog<N> {
         })
     }
 
-    /// Adds what was `seen` of a tick. It is written when the rows after it are known.
-    pub(super) fn add(&mut self, record: &TickRecord<N>, seen: Measurement<N>) -> io::Result<()> {
+    /// Adds what was reported of a tick; what is lost on the way is in no log. It is written when the rows after it are
+    /// known.
+    pub(super) fn add(&mut self, record: &TickRecord<N>) -> io::Result<()> {
+        let Some(seen) = record.reported else {
+            return Ok(());
+        };
         if self.waiting.len() == WINDOW {
             self.waiting.pop_front();
             self.written = self.written.saturating_sub(1);
@@ -178,19 +181,20 @@ mod tests {
     use crate::simulate::PERIOD_S;
     use foretorque::joint::JointVector;
     use foretorque_workbench::dynamics::State;
+    use foretorque_workbench::plant::Measurement;
     use foretorque_workbench::table::{StateReader, TimeColumn};
 
     fn record(tick: usize) -> TickRecord<1> {
         let t_s = tick as f64 * PERIOD_S;
         let q = Joints::<1>::repeat(1.0 + (3.0 * t_s).sin());
         let tau = Joints::repeat(7.0);
-        let measured = Measurement { q, tau };
+        let reported = Measurement { q, tau };
         TickRecord {
             t_s,
             desired: State::rest(Joints::repeat(9.0)),
             q,
-            measured,
-            reported: Some(measured),
+            measured: Measurement { q: tau, tau: q },
+            reported: Some(reported),
             tau: Joints::zeros(),
             feed_forward: JointVector::zeros(),
             shares: None,
@@ -206,9 +210,11 @@ mod tests {
         for ticks in [1, 2, 5, 30, 31, 32, 200] {
             let mut log = MotionLog::<1>::create(&path, false, None, true).expect("creates");
             for tick in 0..ticks {
-                let record = record(tick);
-                log.add(&record, record.measured).expect("writes");
+                log.add(&record(tick)).expect("writes");
             }
+            let mut lost = record(ticks);
+            lost.reported = None;
+            log.add(&lost).expect("writes");
             log.finish().expect("finishes");
             let rows = StateReader::<1>::open(&path, TimeColumn::Required)
                 .and_then(StateReader::read_all)

@@ -268,7 +268,7 @@ impl<const N: usize> Log<N> {
         started: &Joints<N>,
     ) -> Result<(), Failure> {
         self.seen.add(record, Some(board.safety()), Some(started));
-        self.motion.add(record, record.measured)?;
+        self.motion.add(record)?;
         let frames = board.take_telemetry();
         self.seen.take(&frames, self.every, PERIOD_S);
         if let Some(recorder) = &mut self.telemetry {

@@ -185,10 +185,7 @@ fn simulate<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), 
     for tick in 0..scene.ticks {
         let record = play.tick(plant, None)?;
         seen.add(&record, None, None);
-        // What is lost on the way is in no log.
-        if let Some(seen) = record.reported {
-            log.add(&record, seen)?;
-        }
+        log.add(&record)?;
         if tick % 256 == 0 {
             bar.show("simulate", tick, scene.ticks);
         }
