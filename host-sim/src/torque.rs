@@ -84,6 +84,16 @@ impl Arguments {
         });
         Ok((true, Box::new(states)))
     }
+
+    /// Completes the table of torques.
+    ///
+    /// Errors: no rows; the file system's.
+    fn finish(&self, table: TableWriter, rows: usize) -> Result<(), Failure> {
+        if let (0, Some(path)) = (rows, &self.input) {
+            return Err(TableError::empty(path).into());
+        }
+        Ok(table.finish()?)
+    }
 }
 
 /// Starts a table of `shares` of the torque of every joint, beside the times if there are any.
@@ -109,6 +119,7 @@ fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), F
     let model = RigidBodies::new(robot);
     let (timed, states) = arguments.states::<N>(robot)?;
     let mut table = create(&arguments.out, timed, &["tau", "rigid", "friction"], N)?;
+    let mut rows = 0;
     for state in states {
         let state = state?;
         let motion = state.motion.into();
@@ -116,12 +127,23 @@ fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), F
         let drives = robot.joints.iter().zip(motion.qd.iter());
         let friction = drives.map(|(drive, qd)| drive.friction.sliding(*qd));
         let friction: Vec<f64> = friction.collect();
-        let total = rigid.iter().zip(&friction).map(|(a, b)| a + b);
-        let shares = total.chain(rigid.iter().copied()).chain(friction.clone());
+        let total: Vec<f64> = rigid.iter().zip(&friction).map(|(a, b)| a + b).collect();
+        rows += 1;
+        check_finite(rows, total.iter().all(|tau| tau.is_finite()))?;
+        let shares = total.iter().chain(rigid.iter()).chain(&friction);
         table.row(row(state.t_s, shares))?;
     }
-    table.finish()?;
-    Ok(())
+    arguments.finish(table, rows)
+}
+
+/// Errors: row `row` of the states, if its torque is not finite.
+fn check_finite(row: usize, is_finite: bool) -> Result<(), Failure> {
+    if is_finite {
+        return Ok(());
+    }
+    Err(unusable(format!(
+        "state {row}: its torque is not a number: are these rad, rad/s and rad/s²?"
+    )))
 }
 
 fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
@@ -150,12 +172,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         let torque = board.evaluate(&motion_f32(&state.motion))?;
         let shares = torque.shares;
         let mut torques = shares.rigid.iter().chain(&torque.total);
-        if !torques.all(|tau| tau.is_finite()) {
-            let row = rows + 1;
-            return Err(unusable(format!(
-                "state {row}: its torque is not a number: are these rad, rad/s and rad/s²?"
-            )));
-        }
+        check_finite(rows + 1, torques.all(|tau| tau.is_finite()))?;
         let shares = match bank {
             Some(_) => vec![torque.total, shares.rigid, shares.friction, shares.network],
             None => vec![shares.rigid],
@@ -166,9 +183,5 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
             bar.show("torque", rows, rows);
         }
     }
-    if let (0, Some(path)) = (rows, &arguments.input) {
-        return Err(TableError::empty(path).into());
-    }
-    table.finish()?;
-    Ok(())
+    arguments.finish(table, rows)
 }

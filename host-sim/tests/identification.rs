@@ -1,7 +1,9 @@
 //! The command `identify` as a user runs it: parameters of a known arm, and one line for each defect of a log.
 
 use crate::logs::{Q, TAU, each, planted};
-use crate::{assert_contains, directory, fails, json, number, refused, succeeds, text, write};
+use crate::{
+    assert_contains, directory, fails, json, number, refused, states_of, succeeds, text, write,
+};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::write_motion;
@@ -376,4 +378,12 @@ fn drives_that_turn_two_joints_are_identified() {
     }
     let run = "run --robot arm.toml --trajectory validation --out x";
     refused(&here, run, "without its [coupling]");
+    for (values, reason) in [
+        (&[1e200][..], "state 1: its torque is not a number"),
+        (&[], "states.csv: no rows"),
+    ] {
+        write(here.join("states.csv"), states_of(6, values));
+        let torque = "torque --robot arm.toml --in states.csv --out x.csv";
+        refused(&here, torque, reason);
+    }
 }
