@@ -211,6 +211,13 @@ impl LogReader {
             Some(tau) => tau,
             None => quantity(5, ("i", "a"), &map.i_a)?.ok_or_else(|| rows.missing("tau1_nm"))?,
         };
+        if map.effort.unwrap_or(effort) != effort {
+            let name = &rows.header[tau.places[0]];
+            let problem = format!(
+                "column {name} is a motor current: leave out --effort, or effort in the map of columns"
+            );
+            return Err(TableError::at(path, None, problem));
+        }
         for (joint, scale) in tau.scale.iter_mut().enumerate() {
             *scale *= match effort {
                 EffortKind::Torque => 1.0,

@@ -1,7 +1,7 @@
 //! One motion of a UR5 as every source writes it: the same rows.
 
 use super::{LogRow, WholeLog};
-use crate::robot::{LogColumns, Robot};
+use crate::robot::{EffortKind, LogColumns, Robot};
 use std::f64::consts::{PI, TAU};
 use std::fs;
 use std::path::PathBuf;
@@ -248,6 +248,15 @@ fn a_required_map_wins_over_own_names() {
         error.contains("the gain of joint 3 is not known"),
         "{error}"
     );
+    for effort in [EffortKind::Torque, EffortKind::Motor] {
+        let mut robot = ur5();
+        robot.log_columns = Some(LogColumns {
+            effort: Some(effort),
+            ..LogColumns::default()
+        });
+        let error = read_text("currents.csv", &currents, &robot).expect_err("no torques");
+        assert!(error.contains("column i1_a is a motor current"), "{error}");
+    }
     let here = tempfile::tempdir().expect("creates");
     let path = here.path().join("currents.csv");
     fs::write(&path, currents).expect("writes");
