@@ -78,7 +78,7 @@ struct Jobs {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Only write the records of these seeds to this file; concatenated, such files make the report
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["from", "out"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["from", "out", "file", "accept"])]
     records: Option<PathBuf>,
     /// Report the records in this file instead of computing them
     #[arg(long, value_name = "FILE")]
