@@ -212,7 +212,25 @@ struct Soak {
     board_ticks: NonZeroUsize,
 }
 
+impl Study {
+    /// Errors: seeds beyond the largest number.
+    fn check_seeds(&self) -> Result<(), Failure> {
+        let (first, count) = match self {
+            Self::Excitation(own) => (own.jobs.seed, own.seeds),
+            Self::Identification(own) => (own.out.seed, own.seeds),
+            Self::Learning(own) => (own.seed, own.seeds),
+            Self::Paper(own) => (own.jobs.seed, own.seeds),
+            _ => return Ok(()),
+        };
+        let too_large = || unusable(format!("--seed {first}: too large for --seeds {count}"));
+        first.checked_add(count).map(drop).ok_or_else(too_large)
+    }
+}
+
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(study) = &arguments.study {
+        study.check_seeds()?;
+    }
     match &arguments.study {
         _ if arguments.list => list(),
         Some(Study::Demo(arguments)) => run_demo(arguments),

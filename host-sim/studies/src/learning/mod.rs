@@ -93,7 +93,7 @@ pub fn run(
     };
     let arms = world.iter();
     let arms = arms.filter(|own| own.described.name.starts_with(arm));
-    let seeds = first..first.saturating_add(count);
+    let seeds = first..first + count;
     let jobs = seeds.flat_map(|seed| arms.clone().map(move |arm| (arm, seed)));
     let jobs: Vec<(&WorldArm, u64)> = jobs.collect();
     let runs =
