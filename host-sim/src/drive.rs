@@ -136,6 +136,7 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     profile: &'a Profile,
     robot: &'a Robot,
     config: BusConfig<N>,
+    bank: ParameterBank,
     parameters: Parameters<N, P>,
     path: Trajectory<N>,
     ticks: usize,
@@ -165,10 +166,11 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     ) -> Result<Self, Failure> {
         let config = profile.config::<A, N, P>()?;
         let period_s = 1.0 / profile.rate_hz;
-        let mut parameters = Parameters::nominal::<A>();
-        if let Some(file) = &arguments.bank {
-            parameters = bank::read_for(file, robot)?.parameters::<A, N, P>()?;
-        }
+        let bank = match &arguments.bank {
+            Some(file) => bank::read_for(file, robot)?,
+            None => ParameterBank::nominal::<A, N, P>(),
+        };
+        let parameters = bank.parameters::<A, N, P>()?;
         let (name, length_s) = (&arguments.trajectory, arguments.duration_s);
         let path = Trajectory::load(name, robot, arguments.seed, length_s, period_s)?;
         path.check(robot, period_s)?;
@@ -179,6 +181,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             profile,
             robot,
             config,
+            bank,
             parameters,
             path,
             ticks: (duration_s / period_s).round() as usize,
@@ -297,8 +300,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         })?;
         log.finish()?;
         let controller = &played.player.controller;
-        let learnt = controller.feed_forward().in_force();
-        let learnt = ParameterBank::from_set::<A, N, P>(&learnt);
+        let mut learnt = self.bank.clone();
+        learnt.refresh::<A, N, P>(&controller.feed_forward().in_force());
         write_whole(&out.join("bank.bin"), &bank::bytes(&learnt)?)?;
         let [median, high, largest] = played.player.jitter.figures();
         let rms = played.rms_mrad();

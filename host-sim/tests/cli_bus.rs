@@ -4,6 +4,7 @@ use crate::{
     assert_contains, at_port, command, directory, fails, failure, files, host_sim, json, number,
     refused, still, succeeds, text, write,
 };
+use foretorque_link::bank::ParameterBank;
 use serialport::TTYPort;
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
@@ -43,6 +44,29 @@ fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
     let again = succeeds(&here, &command);
     let figures = |text: &str| text.lines().take(2).collect::<Vec<_>>().join(" ");
     assert_eq!(figures(&shown), figures(&again), "one seed, one result");
+}
+
+#[test]
+fn a_bank_that_is_driven_keeps_all_that_is_not_learnt() {
+    use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+    let here = directory("drive-bank");
+    let mut given = ParameterBank::nominal::<Ur5, JOINTS, PARAMETERS>();
+    given.drive_gains_nm_a[2] = 12.5;
+    given.columns[3].deviation *= 0.25;
+    given.limits[1].torque_nm *= 0.5;
+    let mut buffer = vec![0; ParameterBank::MAX_BYTES];
+    write(here.join("given.bank"), given.encode(&mut buffer).unwrap());
+    let command = format!(
+        "drive --profile {PROFILE} --bus sim --trajectory validation --duration-s 2 --bank given.bank --learn --out out"
+    );
+    succeeds(&here, &command);
+    let mut learnt = ParameterBank::decode(&fs::read(here.join("out/bank.bin")).unwrap()).unwrap();
+    assert_ne!(learnt, given, "it has learnt");
+    for (own, before) in learnt.columns.iter_mut().zip(&given.columns) {
+        own.value = before.value;
+    }
+    learnt.weights.clone_from(&given.weights);
+    assert_eq!(learnt, given);
 }
 
 #[test]
