@@ -14,7 +14,7 @@ use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{BusChoice, BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::{TickRecord, motion_f32};
 use foretorque_workbench::dynamics::Joints;
-use foretorque_workbench::files::write_whole;
+use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::plant::{Measurement, Plant};
 use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::report::write_json;
@@ -52,7 +52,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     learn: bool,
     /// Send no torque: the drives' own PD alone, for comparison
-    #[arg(long, conflicts_with = "learn")]
+    #[arg(long, conflicts_with_all = ["learn", "bank"])]
     alone: bool,
     /// The simulated arm is the description itself, not a variation of it by up to 20 %
     #[arg(long)]
@@ -61,7 +61,7 @@ pub(super) struct Arguments {
     pub(super) arm: ArmOptions,
     #[command(flatten)]
     disturbances: DisturbanceArguments,
-    /// Directory for log.csv, log.mcap, drive.json and bank.bin, the parameters in force at the end
+    /// Directory for log.csv, log.mcap, drive.json and bank.bin, the parameters in force at the end (none with --alone)
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -300,9 +300,13 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         })?;
         log.finish()?;
         let controller = &played.player.controller;
-        let mut learnt = self.bank.clone();
-        learnt.refresh::<A, N, P>(&controller.feed_forward().in_force());
-        write_whole(&out.join("bank.bin"), &bank::bytes(&learnt)?)?;
+        if self.arguments.alone {
+            remove_stale(out, &["bank.bin"])?;
+        } else {
+            let mut learnt = self.bank.clone();
+            learnt.refresh::<A, N, P>(&controller.feed_forward().in_force());
+            write_whole(&out.join("bank.bin"), &bank::bytes(&learnt)?)?;
+        }
         let [median, high, largest] = played.player.jitter.figures();
         let rms = played.rms_mrad();
         let lost = (0..N).map(|j| controller.drives().counters(j).lost);

@@ -67,6 +67,12 @@ fn a_bank_that_is_driven_keeps_all_that_is_not_learnt() {
     }
     learnt.weights.clone_from(&given.weights);
     assert_eq!(learnt, given);
+    let alone = command.replace("--bank given.bank --learn", "--alone");
+    succeeds(&here, &alone);
+    let written = files(&here.join("out"));
+    assert_eq!(written, ["drive.json", "log.csv", "log.mcap"]);
+    let with_bank = format!("{alone} --bank given.bank");
+    refused(&here, &with_bank, "'--bank <FILE>'");
 }
 
 #[test]
