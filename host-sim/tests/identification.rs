@@ -109,6 +109,22 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
 }
 
 #[test]
+fn the_page_tells_logs_of_one_name_apart() {
+    let here = directory("identify-names");
+    std::fs::create_dir(here.join("other")).expect("creates");
+    log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
+    log(&here.join("unseen.csv"), 1000, 1.1, None, 0.0);
+    log(&here.join("other/unseen.csv"), 1000, 0.4, None, 3.0);
+    let logs = "--log train.csv --validate unseen.csv --test other/unseen.csv --methods wls";
+    let (stdout, report) = identified(&here, logs);
+    let record = &report["methods"]["wls"]["test"]["other/unseen.csv"];
+    let ratio = number(&record["joints_nrmse_moving_ratio"]);
+    let shown = format!("{:.2} %", 100.0 * ratio);
+    assert_contains(&stdout, &shown);
+    assert_contains(&text(here.join("out/report.html")), &shown);
+}
+
+#[test]
 fn a_body_picked_up_in_a_validation_log_is_named() {
     let here = directory("identify-picked");
     log(&here.join("a.csv"), 3000, 0.0, None, 0.05);

@@ -105,12 +105,14 @@ pub fn identify(
         methods: &config.methods,
         seed: config.seed,
     };
+    let unseen_logs = [validate, &config.test].concat();
     let mut study = Study {
         problem,
         dataset: &dataset,
         bound: wls(&data.sums.all, &layout)?,
         results: solve_all(&problem, &data, progress)?,
         truth: config.truth.as_ref().map(|truth| truths(truth, &layout)),
+        unseen_logs: &unseen_logs,
         unseen: Vec::new(),
         progress,
     };
@@ -130,7 +132,7 @@ pub fn identify(
         ));
     }
     let mut judgement = Judgement::default();
-    for path in validate.iter().chain(&config.test) {
+    for path in &unseen_logs {
         if let Some(same) = logs.iter().find(|log| same_content(log, path)) {
             let (path, same) = (path.display(), same.display());
             judgement.find(false, format!("{path} holds what the training log {same} holds: its errors are not those of unseen motion"));
@@ -150,7 +152,7 @@ pub fn identify(
             }
         }
     }
-    let first = validate.first().map(|path| key_of(path, validate));
+    let first = validate.first().map(|path| key_of(path, &unseen_logs));
     let errors = |name: &str| {
         let method = &methods[name];
         let unseen = first.as_ref().and_then(|log| method.validation.get(log));

@@ -32,6 +32,8 @@ pub(super) struct Study<'a> {
     pub(super) bound: Fit,
     pub(super) results: Vec<MethodResult>,
     pub(super) truth: Option<Vec<Option<f64>>>,
+    /// Logs that are not trained on.
+    pub(super) unseen_logs: &'a [PathBuf],
     /// Rows of the logs that were not trained on, by the names of these.
     pub(super) unseen: Vec<(String, Vec<SampleRow>)>,
     pub(super) progress: Progress<'a>,
@@ -123,7 +125,7 @@ impl Study<'_> {
                         error.map(|error| scores.propagated(layout, &error));
                 }
                 let method = methods.entry(name.clone()).or_default();
-                method.unseen(kind).insert(key_of(path, logs), record);
+                method.unseen(kind).insert(key_of(path, self.unseen_logs), record);
             }
             if trace.is_empty() && kind == Unseen::Validation {
                 (self.progress)("growing shares of the logs");
