@@ -91,6 +91,9 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
     let logs = "--log train.csv.gz --validate unseen.csv --truth ur5 --columns coulomb-viscous";
     let (_, report) = identified(&here, logs);
     assert_eq!(report["rank"], 52);
+    let page = text(here.join("out/report.html"));
+    let recommended = report["recommended"].as_str().expect("a name");
+    assert_contains(&page, format!("Parameters: {recommended}"));
     for method in "ols wls irls consistent bp_physical bp_residual".split(' ') {
         let record = &report["methods"][method];
         let error = number(&record["validation"]["unseen.csv"]["joints_nrmse_moving_ratio"]);

@@ -216,12 +216,10 @@ fn needs_section(report: &Report) -> Option<Section> {
 }
 
 fn parameters_section(report: &Report) -> Section {
-    let mut methods = report.methods.values();
-    let robust = report.methods.get("irls");
-    let method = robust.or_else(|| methods.find(|method| !method.parameters.is_empty()));
+    let method = report.methods.get(&report.recommended);
     let parameters = method.into_iter().flat_map(|method| &method.parameters);
     Section::new(
-        "Parameters",
+        format!("Parameters: {}", report.recommended),
         "Base set: the first independent columns from left to right, links in Craig frames, about the link origin.",
     )
     .table(
