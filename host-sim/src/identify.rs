@@ -288,7 +288,13 @@ fn identify_arm(
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
     let bank = refused.map_or_else(|| bank(robot, &outcome), |_| None);
-    remove_stale(out, &RESULTS)?;
+    let [_, _, made @ ..] = RESULTS;
+    let stays = within(out, &made).any(|file| file.exists());
+    // A refused fit leaves what an earlier one gave.
+    match refused {
+        Some(_) => remove_stale(out, &["report.json", "report.html"])?,
+        None => remove_stale(out, &RESULTS)?,
+    }
     let shown = files.finish(report, &page(report, &outcome.trace))?;
     for note in &report.notes {
         show!("note  {note}")?;
@@ -331,7 +337,12 @@ fn identify_arm(
         newton_metres(&report.headline_description_rmse_nm),
         newton_metres(&floors)
     )?;
-    if let Some(robot) = &outcome.robot {
+    if refused.is_some() && stays {
+        show!(
+            "note  bank and description of an earlier run stay, the report is of the refused fit"
+        )?;
+    }
+    if let (Some(robot), None) = (&outcome.robot, refused) {
         let urdf = foretorque_workbench::urdf::write(robot);
         for (name, text) in [("robot.toml", robot.to_toml()?), ("robot.urdf", urdf)] {
             let path = out.join(name);

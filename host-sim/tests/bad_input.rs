@@ -211,7 +211,26 @@ fn results_of_an_earlier_run_do_not_stay() {
     let before = bank().expect("a bank");
     let wrong = "identify --robot ur5 --log log.csv --units tau=-Nm --out out";
     refused(&here, wrong, "--force");
-    assert_eq!(bank(), Some(before), "a refused run removes nothing");
+    assert_eq!(
+        bank().as_ref(),
+        Some(&before),
+        "a refused run removes nothing"
+    );
+    let other = "simulate --robot ur5 --trajectory validation --seed 2 --out other.csv";
+    succeeds(&here, other);
+    // Worse than the description, of which the unseen log is.
+    let fit = "identify --robot ur5 --log other.csv --validate log.csv --methods consistent --out";
+    let output = host_sim(&here, &format!("{fit} out"));
+    assert_contains(&failure(fit, &output), "(no bank; --force writes one)");
+    let shown = String::from_utf8_lossy(&output.stdout);
+    assert_contains(&shown, "note  bank and description of an earlier run stay");
+    assert_eq!(bank(), Some(before), "a refused fit leaves the bank");
+    refused(&here, &format!("{fit} fresh"), "(no bank;");
+    for out in ["out", "fresh"] {
+        let directory = here.join(out);
+        assert!(directory.join("report.json").exists(), "{out}");
+        assert!(!directory.join("robot.toml").exists(), "{out}");
+    }
     fs::create_dir(here.join("other")).expect("creates");
     write(here.join("other/robot.urdf"), "no result");
     let line = "identify --robot ur5 --log log.csv --methods wls --out other";
