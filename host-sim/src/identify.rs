@@ -357,6 +357,11 @@ fn identify_arm(
     }
     show!("report  {}", shown.display())?;
     if let (Some(_), None) = (&robot.coupling, refused) {
+        if outcome.robot.is_none() {
+            let problem =
+                "no bank: boards have no coupled joints; --methods consistent gives a robot.toml";
+            return Err(unusable(problem));
+        }
         return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
     }
     verdict(refused, bank.is_some())

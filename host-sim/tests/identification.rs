@@ -388,6 +388,8 @@ fn drives_that_turn_two_joints_are_identified() {
     ] {
         succeeds(&here, command);
     }
+    let without = "identify --robot arm.toml --log 1.csv --validate 2.csv --methods wls --out wls";
+    refused(&here, without, "--methods consistent gives a robot.toml");
     // Boards have no coupled joints.
     assert!(!here.join("out/parameters.bank").exists());
     // Torques of the last two drives: measured, and of the identified description.
