@@ -40,8 +40,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         campaigns: Vec::new(),
     };
     // A place that cannot be written or compared is refused before the work.
-    write_json(&arguments.out, &report)?;
     arguments.snapshot.check()?;
+    write_json(&arguments.out, &report)?;
     let scratch = std::env::temp_dir().join(format!("foretorque-faults-{}", std::process::id()));
     std::fs::create_dir_all(&scratch)?;
     let all = scenarios(lengths, arguments.seed, &scratch);
