@@ -1,5 +1,5 @@
 use super::arm::RobotOptions;
-use super::logs::{LogOptions, show_check};
+use super::logs::{LogOptions, check_distinct, show_check};
 use super::terminal::{Lines, show};
 use super::{Failure, excite, not_negative, not_over, positive, sound, unusable, within};
 use clap::Args;
@@ -9,14 +9,12 @@ use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
     ColumnSet, Finding, GainRecord, IdentifyConfig, Layout, METHODS, MethodName, Outcome,
-    PrepareConfig, bank_of_fit, identify, judge, page, same_content, unexplained, with_gains,
+    PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::ratio;
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::collections::HashSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -122,20 +120,7 @@ impl Arguments {
     /// Errors: a result that would take the place of a file that is read, or that no earlier run wrote; a training log that is
     /// given twice, or a copy of another one.
     fn check_files(&self) -> Result<(), Failure> {
-        let mut files = HashSet::new();
-        for log in &self.logs {
-            if fs::canonicalize(log).is_ok_and(|file| !files.insert(file)) {
-                let log = log.display();
-                return Err(unusable(format!("--log {log} is given twice")));
-            }
-        }
-        for (place, log) in self.logs.iter().enumerate() {
-            let mut others = self.logs[..place].iter();
-            if let Some(same) = others.find(|other| same_content(log, other)) {
-                let (log, same) = (log.display(), same.display());
-                return Err(unusable(format!("--log {log} is a copy of --log {same}")));
-            }
-        }
+        check_distinct(&self.logs)?;
         let Some(out) = self.out.as_ref().filter(|_| !self.data_check) else {
             return Ok(());
         };

@@ -12,12 +12,14 @@ use foretorque_workbench::board::Transport;
 use foretorque_workbench::board::serial::{self, Serial};
 use foretorque_workbench::files::at;
 use foretorque_workbench::identification::{
-    ColumnSet, IdentifyError, Judgement, PrepareConfig, judge,
+    ColumnSet, IdentifyError, Judgement, PrepareConfig, judge, same_content,
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::robot::{EffortKind, LOG_SOURCES, LogColumns, Robot, Units};
 use foretorque_workbench::telemetry_tap::TelemetryTap;
+use std::collections::HashSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -73,6 +75,25 @@ impl LogOptions {
         robot.log_columns = (columns != LogColumns::default()).then_some(columns);
         Ok(())
     }
+}
+
+/// Errors: a log that is given twice, or a copy of another one.
+pub(super) fn check_distinct(logs: &[PathBuf]) -> Result<(), Failure> {
+    let mut files = HashSet::new();
+    for log in logs {
+        if fs::canonicalize(log).is_ok_and(|file| !files.insert(file)) {
+            let log = log.display();
+            return Err(unusable(format!("--log {log} is given twice")));
+        }
+    }
+    for (place, log) in logs.iter().enumerate() {
+        let mut others = logs[..place].iter();
+        if let Some(same) = others.find(|other| same_content(log, other)) {
+            let (log, same) = (log.display(), same.display());
+            return Err(unusable(format!("--log {log} is a copy of --log {same}")));
+        }
+    }
+    Ok(())
 }
 
 /// Record the telemetry of a board that another host drives, into CSV and MCAP; nothing is sent
@@ -155,6 +176,7 @@ pub(super) struct Replay {
 
 impl Replay {
     pub(super) fn run(&self) -> Result<(), Failure> {
+        check_distinct(&self.logs)?;
         let mut robot = self.robot.load()?;
         self.columns_of_log.apply(&mut robot)?;
         let read = self.robot.files().into_iter().chain(self.logs.clone());
