@@ -125,7 +125,9 @@ impl Study<'_> {
                         error.map(|error| scores.propagated(layout, &error));
                 }
                 let method = methods.entry(name.clone()).or_default();
-                method.unseen(kind).insert(key_of(path, self.unseen_logs), record);
+                method
+                    .unseen(kind)
+                    .insert(key_of(path, self.unseen_logs), record);
             }
             if trace.is_empty() && kind == Unseen::Validation {
                 (self.progress)("growing shares of the logs");
