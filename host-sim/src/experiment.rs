@@ -381,9 +381,15 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
         board_ticks: arguments.board_ticks.get(),
     };
     let choice = &arguments.board;
+    let mut failed = None;
+    let mut soak = |board: Option<&mut _>, progress: Progress<'_>| {
+        let outcome = soak::run(&config, board, progress)?;
+        failed = outcome.report.failure();
+        Ok(outcome)
+    };
     arguments.out.study(|progress| {
         if *choice == BoardChoice::Native {
-            return soak::run(&config, None, progress);
+            return soak(None, progress);
         }
         let mut board = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
@@ -395,6 +401,7 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
             )),
             other => other.into(),
         })?;
-        soak::run(&config, Some(&mut board), progress)
-    })
+        soak(Some(&mut board), progress)
+    })?;
+    failed.map_or(Ok(()), |reason| Err(unusable(reason)))
 }

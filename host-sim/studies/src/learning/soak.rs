@@ -67,6 +67,17 @@ pub struct SoakReport {
     pub board_ticks_with_other_bits_count: usize,
 }
 
+impl SoakReport {
+    /// The counts that must be zero; `None` where they are.
+    pub fn failure(&self) -> Option<String> {
+        let not_finite = self.not_finite_ticks_count;
+        let other_bits = self.board_ticks_with_other_bits_count;
+        (not_finite + other_bits > 0).then(|| {
+            format!("{not_finite} ticks are not finite, {other_bits} have other bits on the board")
+        })
+    }
+}
+
 /// The arm of a seed.
 struct Setup {
     seed: u64,
