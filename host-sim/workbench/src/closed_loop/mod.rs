@@ -61,7 +61,7 @@ pub struct ClosedLoop<'t, const N: usize> {
     tick: usize,
     desired: State<N>,
     answer: JointVector<N>,
-    /// What the last reply had of the board's own excitation.
+    /// Excitation of the board in its last reply.
     excited: Option<(ExcitationState, JointMotion<N>)>,
 }
 
