@@ -2,7 +2,8 @@
 //! nothing half written, no emulator left behind.
 
 use crate::{
-    assert_contains, command, directory, failure, refused, soon, still, succeeds, text, write,
+    assert_contains, command, directory, failure, host_sim, refused, soon, still, succeeds, text,
+    write,
 };
 use foretorque_workbench::board::qemu::Image;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
