@@ -52,6 +52,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
 
     /// Restarts the tick at 0 with another configuration and the active set; with a key, which signs what is loaded, without
     /// what was learnt.
+    // A function of its own: its stack is not that of the other orders.
+    #[inline(never)]
     pub(in crate::session) fn configure(
         &mut self,
         wanted: Configuration,
