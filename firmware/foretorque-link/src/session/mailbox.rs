@@ -106,20 +106,29 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         self.learn_cost = CostMeter::new();
     }
 
+    /// Restarts the learner as asked. A function of its own: its stack is not that of a learning step.
+    #[inline(never)]
+    fn restart_learner<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) {
+        let Some(Restart {
+            period_s,
+            set,
+            start,
+        }) = self.restart.take()
+        else {
+            return;
+        };
+        // The learner accepts every period that the session accepts. If it refused one, it would learn nothing: the samples
+        // that follow do not belong to its set.
+        let _ = learner.restart_for_arm(period_s, &set, &start);
+    }
+
     /// The next learning sample; before it, the learner takes over a restart or request. One copy at most.
     pub fn begin<A: Arm<N, P>>(
         &mut self,
         learner: &mut Learner<A, N, P>,
     ) -> Option<LearningSample<N>> {
-        if let Some(Restart {
-            period_s,
-            set,
-            start,
-        }) = self.restart.take()
-        {
-            // The learner accepts the configuration of every period that the session accepts. If it refused one, it would
-            // learn nothing: the samples that follow do not belong to its set.
-            let _ = learner.restart_for_arm(period_s, &set, &start);
+        if self.restart.is_some() {
+            self.restart_learner(learner);
         }
         let sample = self.samples.dequeue()?;
         learner.collect(&sample, &mut self.exchange);
