@@ -3,6 +3,7 @@
 use super::terminal::show;
 use super::{Failure, not_negative, positive, unusable};
 use clap::Args;
+use foretorque::learning::MAX_COM_DISTANCE;
 use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::robot::{Joint, Link, Robot};
 use foretorque_workbench::urdf::{Import, Selection};
@@ -154,8 +155,6 @@ pub(super) fn joint_count(count: usize) -> String {
     format!("{count} joint{}", if count == 1 { "" } else { "s" })
 }
 
-/// Distance of a payload from the origin of the last link, m: the largest that the learner takes.
-const PAYLOAD_DISTANCE: f64 = 0.25;
 /// Largest torque limit without a note, in units of what moves the links and a payload as heavy as the arm. Arms carry less than
 /// they weigh.
 const INFLATED: f64 = 10.0;
@@ -164,7 +163,7 @@ const INFLATED: f64 = 10.0;
 fn inflated_limits(robot: &Robot) -> Vec<String> {
     let payload = Link {
         mass: robot.joints.iter().map(|joint| joint.link.mass).sum(),
-        com: nalgebra::Vector3::new(PAYLOAD_DISTANCE, 0.0, 0.0),
+        com: nalgebra::Vector3::new(MAX_COM_DISTANCE.into(), 0.0, 0.0),
         inertia_com: nalgebra::Matrix3::zeros(),
     };
     let needs = RigidBodies::new(robot)

@@ -105,9 +105,9 @@ impl Wire {
             }
             received = true;
         }
-        // A byte that finds some to send shares its interrupt with them, and measures nothing of receiving.
         let sending = self.usart.cr1().read().txeie().bit_is_set();
         let sent = self.transmit();
+        // A byte that finds some to send shares its interrupt with them, and measures nothing of receiving.
         if received && !sent {
             note_cost(counter::now().wrapping_sub(start));
         }

@@ -214,3 +214,89 @@ pub(super) fn alternating<const N: usize>(joints: &[Option<BusJoint>; N]) -> [u8
     }
     order
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::bank::Parameters;
+    use crate::bus::tests::{RANGES, config, controller};
+    use crate::bus::{BusConfig, BusController};
+    use crate::drives::{Moteus, Protocol, Ranges, Resolution};
+    use foretorque::arm::ur5::Ur5;
+    use std::string::ToString as _;
+
+    #[test]
+    fn limits_of_the_parameters_are_those_of_the_drives() {
+        let mut parameters = Parameters::nominal::<Ur5>();
+        parameters.bounds[1].torque_nm = 7.0;
+        let controller = BusController::<Ur5, 6, 40>::new(config(), &parameters).unwrap();
+        let limits = controller
+            .config()
+            .joints
+            .map(|joint| joint.drive.torque_limit);
+        assert_eq!(limits[1], 7.0);
+        assert_eq!(limits[2], config().joints[2].drive.torque_limit);
+        parameters.bounds[1].torque_nm = 1e4;
+        assert!(BusController::<Ur5, 6, 40>::new(config(), &parameters).is_err());
+    }
+
+    #[test]
+    fn contradictions_name_joint_field_and_both_values() {
+        fn moteus(config: &mut BusConfig<6>, gear: f32, torque_limit: f32) {
+            let drive = &mut config.joints[3].drive;
+            (drive.gear, drive.torque_limit) = (gear, torque_limit);
+            drive.protocol = Protocol::Moteus(Moteus {
+                kp: 4e3,
+                kd: 200.0,
+                watchdog_s: 0.1,
+                resolution: Resolution::Int16,
+            });
+        }
+        let corruptions: [fn(&mut BusConfig<6>); 12] = [
+            |c| moteus(c, 9.0, 28.0),
+            |c| moteus(c, 0.05, 28.0),
+            |c| moteus(c, 0.5, 28.0),
+            |c| c.period_s = 1e-4,
+            |c| c.joints[1].drive.torque_limit = 180.0,
+            |c| {
+                let torque = 20.0;
+                c.joints[2].drive.protocol = Protocol::Damiao(Ranges { torque, ..RANGES });
+            },
+            |c| c.joints[5].drive.id = 4,
+            |c| c.joints[5].drive.id = 20,
+            |c| c.joints[0].bus = 2,
+            |c| c.joints[0].kp = 6000.0,
+            |c| c.joints[5].drive.gear = 10.0,
+            |c| c.joints[4].kd = f32::NAN,
+        ];
+        let refusals = [
+            "joint 4: range of position 2.28",
+            "joint 4: torque_limit 28 contradicts the largest value 16.38",
+            "joint 4: kp 300 contradicts the largest kp of the frame 159.1",
+            "period_s 0.0001 contradicts the shortest period 0.0005",
+            "joint 2: torque_limit 180 contradicts the torque of the arm 150",
+            "joint 3: torque_limit 28 contradicts the largest value 20",
+            "joint 6: id 4 contradicts the id in the replies of joint 4",
+            "joint 6: id 20 contradicts the id in the replies of joint 4",
+            "joint 1: bus 2 contradicts the last bus 1",
+            "joint 1: kp 6000 contradicts the largest kp of the frame 5000",
+            "joint 6: range of position 1.25 contradicts the travel of the arm from its zero 6.38",
+            "joint 5: kd NaN contradicts the least value 0",
+        ];
+        for (named, corrupt) in refusals.into_iter().zip(corruptions) {
+            let mut config = config();
+            corrupt(&mut config);
+            let message = controller(config).err().expect(named).to_string();
+            assert!(message.starts_with(named), "{message}");
+        }
+    }
+
+    #[test]
+    fn the_resolution_of_the_reported_torque_is_noise_of_the_learner() {
+        let fine = foretorque::learning::LearnerConfig::<6, 40>::for_arm::<Ur5>(2e-3);
+        let coarse = config().learner::<Ur5, 40>();
+        // ±200 N·m in 4095 steps on a joint of 28 N·m.
+        let step = 400.0 / 4095.0 / 28.0;
+        let expected = (0.01_f32 * 0.01 + step * step / 12.0).sqrt();
+        assert!((coarse.noise - expected).abs() < 1e-6 && coarse.noise > fine.noise);
+    }
+}

@@ -5,14 +5,14 @@ use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
 use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
-use crate::safety::{JUMP_MARGIN, SafetyLimits, SafetyReason};
+use crate::safety::{JUMP_MARGIN, PLAUSIBLE_C, SafetyLimits, SafetyReason};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMeasurement, JointMotion, JointVector};
 
 /// Weight of a period that lacks a reply; a whole one takes back 1. So one in five is too many.
 const LOSS_WEIGHT: u16 = 4;
-/// Highest temperature that is plausible, °C: a drive may report more.
-const MOST_C: f32 = 125.0;
+/// Highest temperature that the safety takes, °C: a drive may report more.
+const MOST_C: f32 = *PLAUSIBLE_C.end() as f32;
 /// Periods of a round in which an idle drive is asked for its scales and for a report.
 const IDLE_ROUND: u16 = 4;
 

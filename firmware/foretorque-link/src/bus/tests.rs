@@ -1,7 +1,6 @@
 use super::*;
 use crate::drives::{
-    DriveProfile, DriveState, Frame, Frames, JointReply, Moteus, Order, Protocol, Ranges, Request,
-    Resolution, Scale,
+    DriveProfile, DriveState, Frame, Frames, JointReply, Order, Protocol, Ranges, Request, Scale,
 };
 use crate::safety::SafetyState;
 use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Session};
@@ -12,7 +11,7 @@ use std::vec::Vec;
 
 type Controller = BusController<Ur5, 6, 40>;
 
-const RANGES: Ranges = Ranges {
+pub(super) const RANGES: Ranges = Ranges {
     position: 12.5,
     velocity: 30.0,
     torque: 200.0,
@@ -20,7 +19,7 @@ const RANGES: Ranges = Ranges {
     kd: 500.0,
 };
 
-fn config() -> BusConfig<6> {
+pub(super) fn config() -> BusConfig<6> {
     let joint = |id| BusJoint {
         drive: DriveProfile {
             protocol: Protocol::Damiao(RANGES),
@@ -41,7 +40,7 @@ fn config() -> BusConfig<6> {
     }
 }
 
-fn controller(config: BusConfig<6>) -> Result<Controller, Contradiction> {
+pub(super) fn controller(config: BusConfig<6>) -> Result<Controller, Contradiction> {
     Controller::new(config, &Parameters::nominal::<Ur5>())
 }
 
@@ -247,90 +246,127 @@ fn a_fault_that_is_cleared_is_cleared_in_the_drive_too() {
     assert_eq!(drives.on, [true; 6]);
 }
 
+/// A board that is master of its drives, and its host.
+struct Board {
+    board: BoardDrives<Ur5, 6, 40>,
+    session: Session<Ur5, 6, 40>,
+    mailboxes: Mailboxes<6, 40>,
+    drives: Drives,
+    sent: u16,
+}
+
+impl Board {
+    fn new() -> Self {
+        let wiring = Wiring {
+            role: Role::Master,
+            wires: Wires::Can,
+            bit_s: 1_000_000,
+            joints: config().joints.map(Some).into_iter().collect(),
+        };
+        Self {
+            board: BoardDrives::new(&wiring),
+            session: Session::new(BoardDescription::plain(NoClock)).unwrap(),
+            mailboxes: Mailboxes::new(),
+            drives: Drives::new(),
+            sent: 0,
+        }
+    }
+
+    /// A period with these messages of the host; `change` may alter an answer of a drive.
+    fn period(
+        &mut self,
+        messages: &[HostMessage<6>],
+        change: impl Fn(usize, &mut JointReply) -> bool,
+    ) {
+        let (session, board, mailboxes) = (&mut self.session, &mut self.board, &mut self.mailboxes);
+        session.timer_tick(mailboxes, &mut FrameBuffer::new(), board);
+        for message in messages {
+            let (mut request, mut reply) = (FrameBuffer::new(), FrameBuffer::new());
+            request.push(self.sent, message).unwrap();
+            self.sent += 1;
+            session.receive(request.as_bytes(), mailboxes, &mut reply, board);
+        }
+        let mut sent = Vec::new();
+        board.follow(session, false, |bus, frame| sent.push((bus, *frame)));
+        for (bus, frame) in self.drives.answers(&sent, change) {
+            board.receive(bus, &frame);
+        }
+    }
+
+    /// So many periods at rest, with `orders` after the sample of the last one.
+    fn rest(&mut self, periods: u32, orders: &[HostMessage<6>]) {
+        self.rest_with(periods, orders, |_, _| true);
+    }
+
+    fn rest_with(
+        &mut self,
+        periods: u32,
+        orders: &[HostMessage<6>],
+        change: fn(usize, &mut JointReply) -> bool,
+    ) {
+        let still = SampleFrame::new(&JointSample {
+            desired: JointMotion::zero(),
+            measured: None,
+        });
+        for k in 1..=periods {
+            let mut messages = std::vec![HostMessage::Sample(still.in_period(k as u8 % 32))];
+            if k == periods {
+                messages.extend_from_slice(orders);
+            }
+            self.period(&messages, change);
+        }
+    }
+
+    fn flows(&self) -> bool {
+        self.drives.torque.iter().any(|torque| torque.abs() > 0.05)
+    }
+}
+
 #[test]
 fn a_board_waits_for_drives_that_are_slow_to_switch_on() {
     const SLOW_MS: u32 = 300;
-    let wiring = Wiring {
-        role: Role::Master,
-        wires: Wires::Can,
-        bit_s: 1_000_000,
-        joints: config().joints.map(Some).into_iter().collect(),
+    let slow = |_, reply: &mut JointReply| {
+        reply.state = Some(DriveState::Disabled);
+        true
     };
-    let mut board = BoardDrives::<Ur5, 6, 40>::new(&wiring);
-    let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock)).unwrap();
-    let (mut mailboxes, mut drives) = (Mailboxes::new(), Drives::new());
-    let still = SampleFrame::new(&JointSample {
-        desired: JointMotion::zero(),
-        measured: None,
-    });
-    for ms in 0..SLOW_MS + 100 {
-        let mut messages = std::vec![HostMessage::<6>::Sample(still.in_period(ms as u8 % 32))];
-        if ms == 50 {
-            messages.push(HostMessage::Arm);
-        }
-        for (part, message) in messages.iter().enumerate() {
-            let (mut request, mut reply) = (FrameBuffer::new(), FrameBuffer::new());
-            request
-                .push((2 * ms + part as u32) as u16, message)
-                .unwrap();
-            session.receive(request.as_bytes(), &mut mailboxes, &mut reply, &mut board);
-        }
-        let mut sent = Vec::new();
-        board.follow(&mut session, false, |bus, frame| sent.push((bus, *frame)));
-        let on = ms > 50 + SLOW_MS;
-        let answers = drives.answers(&sent, |_, reply| {
-            reply.state = reply.state.filter(|_| on).or(Some(DriveState::Disabled));
-            true
-        });
-        for (bus, frame) in answers {
-            board.receive(bus, &frame);
-        }
-        // Replies arrive after a tick, and the first sample after them lets torque through.
-        let flows = session.torque_output()[1] != 0.0;
-        assert_eq!(flows, ms > 50 + SLOW_MS + 2, "{ms} ms");
+    let mut board = Board::new();
+    board.rest(50, &[]);
+    board.rest_with(1, &[HostMessage::Arm], slow);
+    for ms in 0..SLOW_MS {
+        board.rest_with(1, &[], slow);
+        assert_eq!(board.session.torque_output()[1], 0.0, "{ms} ms");
     }
-    assert_eq!(session.safety().state, SafetyState::Armed);
-    // The host falls silent: the torque ramps to zero on the bus too, the drives damp, then they are off.
+    board.rest(50, &[]);
+    assert_eq!(board.session.safety().state, SafetyState::Armed);
+    assert!(board.flows());
+}
+
+#[test]
+fn drives_of_a_silent_host_lose_their_torque_damp_and_are_off() {
+    let mut board = Board::new();
+    board.rest(50, &[HostMessage::Arm]);
+    board.rest(100, &[]);
     for ms in 0..1200 {
-        session.timer_tick(&mut mailboxes, &mut FrameBuffer::new(), &mut board);
-        let mut sent = Vec::new();
-        board.follow(&mut session, false, |bus, frame| sent.push((bus, *frame)));
-        for (bus, frame) in drives.answers(&sent, |_, _| true) {
-            board.receive(bus, &frame);
-        }
-        let flows = drives.torque.iter().any(|torque| torque.abs() > 0.05);
+        board.period(&[], |_, _| true);
+        let (flows, torque) = (board.flows(), &board.drives.torque);
         assert!(flows || ms > 10, "{ms} ms");
-        assert!(!flows || ms < 65, "{ms} ms: {:?}", drives.torque);
+        assert!(!flows || ms < 65, "{ms} ms: {torque:?}");
     }
-    assert_eq!(drives.on, [false; 6]);
-    // After a fault, scales are read again while the board is armed already.
-    drives.faults[2] = true;
-    for ms in 2000..2600 {
-        session.timer_tick(&mut mailboxes, &mut FrameBuffer::new(), &mut board);
-        let mut messages = std::vec![HostMessage::<6>::Sample(still.in_period(ms as u8 % 32))];
-        if ms == 2010 {
-            messages.push(HostMessage::Arm);
-        }
-        if ms == 2040 {
-            let cause = board.fault().map(|fault| fault.cause);
-            assert_eq!(cause, Some(FaultCause::Drive(13)));
-            messages.extend([HostMessage::ClearFault, HostMessage::Arm]);
-        }
-        for (part, message) in messages.iter().enumerate() {
-            let (mut request, mut reply) = (FrameBuffer::new(), FrameBuffer::new());
-            request
-                .push((4 * ms + part as u32) as u16, message)
-                .unwrap();
-            session.receive(request.as_bytes(), &mut mailboxes, &mut reply, &mut board);
-        }
-        let mut sent = Vec::new();
-        board.follow(&mut session, false, |bus, frame| sent.push((bus, *frame)));
-        for (bus, frame) in drives.answers(&sent, |_, _| true) {
-            board.receive(bus, &frame);
-        }
-    }
-    assert_eq!(session.safety().state, SafetyState::Armed);
-    assert_eq!(drives.on, [true; 6]);
+    assert_eq!(board.drives.on, [false; 6]);
+}
+
+#[test]
+fn a_board_that_is_armed_with_a_cleared_fault_waits_for_scales() {
+    let mut board = Board::new();
+    board.drives.faults[2] = true;
+    board.rest(50, &[HostMessage::Arm]);
+    board.rest(50, &[]);
+    let cause = board.board.fault().map(|fault| fault.cause);
+    assert_eq!(cause, Some(FaultCause::Drive(13)));
+    board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
+    board.rest(500, &[]);
+    assert_eq!(board.session.safety().state, SafetyState::Armed);
+    assert_eq!(board.drives.on, [true; 6]);
 }
 
 #[test]
@@ -426,80 +462,4 @@ fn foreign_frames_and_any_bits_change_no_torque() {
         assert!(tick.torque.total.iter().all(|torque| torque.is_finite()));
     }
     assert_ne!(controller.status().state, SafetyState::Armed);
-}
-
-#[test]
-fn limits_of_the_parameters_are_those_of_the_drives() {
-    let mut parameters = Parameters::nominal::<Ur5>();
-    parameters.bounds[1].torque_nm = 7.0;
-    let controller = Controller::new(config(), &parameters).unwrap();
-    let limits = controller
-        .config()
-        .joints
-        .map(|joint| joint.drive.torque_limit);
-    assert_eq!(limits[1], 7.0);
-    assert_eq!(limits[2], config().joints[2].drive.torque_limit);
-    parameters.bounds[1].torque_nm = 1e4;
-    assert!(Controller::new(config(), &parameters).is_err());
-}
-
-#[test]
-fn contradictions_name_joint_field_and_both_values() {
-    fn moteus(config: &mut BusConfig<6>, gear: f32, torque_limit: f32) {
-        let drive = &mut config.joints[3].drive;
-        (drive.gear, drive.torque_limit) = (gear, torque_limit);
-        drive.protocol = Protocol::Moteus(Moteus {
-            kp: 4e3,
-            kd: 200.0,
-            watchdog_s: 0.1,
-            resolution: Resolution::Int16,
-        });
-    }
-    let corruptions: [fn(&mut BusConfig<6>); 12] = [
-        |c| moteus(c, 9.0, 28.0),
-        |c| moteus(c, 0.05, 28.0),
-        |c| moteus(c, 0.5, 28.0),
-        |c| c.period_s = 1e-4,
-        |c| c.joints[1].drive.torque_limit = 180.0,
-        |c| {
-            let torque = 20.0;
-            c.joints[2].drive.protocol = Protocol::Damiao(Ranges { torque, ..RANGES });
-        },
-        |c| c.joints[5].drive.id = 4,
-        |c| c.joints[5].drive.id = 20,
-        |c| c.joints[0].bus = 2,
-        |c| c.joints[0].kp = 6000.0,
-        |c| c.joints[5].drive.gear = 10.0,
-        |c| c.joints[4].kd = f32::NAN,
-    ];
-    let refusals = [
-        "joint 4: range of position 2.28",
-        "joint 4: torque_limit 28 contradicts the largest value 16.38",
-        "joint 4: kp 300 contradicts the largest kp of the frame 159.1",
-        "period_s 0.0001 contradicts the shortest period 0.0005",
-        "joint 2: torque_limit 180 contradicts the torque of the arm 150",
-        "joint 3: torque_limit 28 contradicts the largest value 20",
-        "joint 6: id 4 contradicts the id in the replies of joint 4",
-        "joint 6: id 20 contradicts the id in the replies of joint 4",
-        "joint 1: bus 2 contradicts the last bus 1",
-        "joint 1: kp 6000 contradicts the largest kp of the frame 5000",
-        "joint 6: range of position 1.25 contradicts the travel of the arm from its zero 6.38",
-        "joint 5: kd NaN contradicts the least value 0",
-    ];
-    for (named, corrupt) in refusals.into_iter().zip(corruptions) {
-        let mut config = config();
-        corrupt(&mut config);
-        let message = controller(config).err().expect(named).to_string();
-        assert!(message.starts_with(named), "{message}");
-    }
-}
-
-#[test]
-fn the_resolution_of_the_reported_torque_is_noise_of_the_learner() {
-    let fine = foretorque::learning::LearnerConfig::<6, 40>::for_arm::<Ur5>(2e-3);
-    let coarse = config().learner::<Ur5, 40>();
-    // ±200 N·m in 4095 steps on a joint of 28 N·m.
-    let step = 400.0 / 4095.0 / 28.0;
-    let expected = (0.01_f32 * 0.01 + step * step / 12.0).sqrt();
-    assert!((coarse.noise - expected).abs() < 1e-6 && coarse.noise > fine.noise);
 }

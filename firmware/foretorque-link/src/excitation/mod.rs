@@ -328,8 +328,8 @@ const OVERSPEED: f32 = 1.2;
 struct Supervision<const N: usize> {
     /// Ticks in a row without a measurement.
     blind: u32,
-    /// Position that follows the measured one no faster than [`OVERSPEED`], N × rad. [`JUMP_MARGIN`](crate::safety::JUMP_MARGIN) between the two is no
-    /// speed: an encoder has steps.
+    /// Position that follows the measured one no faster than [`OVERSPEED`], N × rad. Up to
+    /// [`JUMP_MARGIN`](crate::safety::JUMP_MARGIN) between the two is no speed: an encoder has steps.
     followed: Option<JointVector<N>>,
 }
 

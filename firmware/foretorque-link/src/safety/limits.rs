@@ -96,7 +96,7 @@ pub const HYSTERESIS_C: i8 = 5;
 /// Temperature as which a motor counts, at least, whose temperature no longer arrives, °C.
 const OVERDUE_C: i8 = 85;
 /// Plausible readings, °C; others come from a broken sensor.
-const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
+pub(crate) const PLAUSIBLE_C: core::ops::RangeInclusive<i8> = -40..=125;
 
 /// Reduction of the torque limits by the motor temperatures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -18,6 +18,7 @@ mod task_check_in;
 
 pub(crate) use input::follow;
 pub use input::{ARM_DISTANCE, ARM_SAMPLES};
+pub(crate) use limits::PLAUSIBLE_C;
 pub use limits::{
     COMMAND_TIMEOUT_US, HOT_C, HYSTERESIS_C, JUMP_MARGIN, MEASUREMENT_TIMEOUT_US, SafetyLimits,
     WARM_C,
@@ -304,11 +305,11 @@ impl<const N: usize> Safety<N> {
         let closes = withdrawn || self.state == SafetyState::RampDown || warm;
         if let Some(q) = self.input.plausible.as_ref().filter(|_| closes) {
             self.gravity = parameters.gravity::<A>(q);
-            let joints = self.gravity.iter().zip(&self.limits.torque).enumerate();
+            let mut joints = self.gravity.iter().zip(&self.limits.torque).enumerate();
             let heavy = |(joint, (gravity, torque)): (usize, (&f32, &f32))| {
                 gravity.abs() > torque * self.derating.factor(joint)
             };
-            if warm && { joints }.any(heavy) {
+            if warm && joints.any(heavy) {
                 self.check(SafetyReason::MotorHot);
             }
             if withdrawn {

@@ -15,7 +15,7 @@ pub(super) type Payload = [f32; PAYLOAD_PARAMETERS];
 pub(super) const NO_PAYLOAD: Payload = [0.0; PAYLOAD_PARAMETERS];
 
 /// Largest distance of a payload's centre of mass from the origin of the last link, m.
-pub(super) const MAX_COM_DISTANCE: f32 = 0.25;
+pub const MAX_COM_DISTANCE: f32 = 0.25;
 /// Weight of the rated payload at full stretch, in units of the torque limit.
 ///
 /// Descriptions do not contain the rated payload. A third gives 5.0 kg for the UR5 (data sheet: 5 kg) and 3.3 kg for the

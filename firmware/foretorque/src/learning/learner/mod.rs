@@ -173,7 +173,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
     /// Restart with the [defaults of the arm](LearnerConfig::for_arm) for a tick of `period_s`, s, in place.
     ///
-    /// They are valid for every described arm: a board spares the code that checks each field.
+    /// These are valid for every described arm, so a board needs no code that checks each field.
     ///
     /// Errors: the period is not between 10 µs and 0.1 s; the learner is unchanged.
     pub fn restart_for_arm(
