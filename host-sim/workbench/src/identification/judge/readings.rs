@@ -1,6 +1,7 @@
 //! Other readings of the columns of a log: joints exchanged, positions of another scale, direction or zero, a clock of another
 //! rate, and gravity of another direction.
 
+use super::CENTRE_M;
 use super::explained::{COLUMNS, Explained, explain, links, of_drive, weight};
 use super::ranges::Extremes;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
@@ -124,7 +125,8 @@ fn readings(states: &[Motion], extremes: &[Extremes], weights: &[f64]) -> Vec<Re
     readings
 }
 
-/// Reading with the gravity that explains the torques best.
+/// Reading with the gravity that explains the torques best; none where errors of the described centres of mass make a change
+/// of gravity as large.
 ///
 /// ```text
 /// tau = Σ_k g_k G_k(q) + s M(q) q̈ + …    G_k = torques under unit gravity along axis k of the base
@@ -203,6 +205,16 @@ fn other_gravity(
         );
         (gravity, text)
     };
+    let change = gravity - bare.gravity;
+    let changed = |joint: usize| {
+        let along = |row: usize, axis: usize| change[axis] * axes[axis][row][1][joint];
+        let torques = (0..states.len()).map(|row| (0..3).map(|axis| along(row, axis)).sum::<f64>());
+        torques.map(|torque| torque.powi(2)).sum::<f64>()
+    };
+    let mut moved = of_centres(bare, states).into_iter().enumerate();
+    if !moved.any(|(joint, moved)| changed(joint) > CERTAIN * CERTAIN * moved) {
+        return None;
+    }
     Some(Reading {
         text,
         states: states.to_vec(),
@@ -210,6 +222,27 @@ fn other_gravity(
         gravity: Some(gravity),
         rate: 1.0,
     })
+}
+
+/// Squares of the torques by which errors of the described centres of mass change gravity, (N·m)², summed over the rows.
+fn of_centres(bare: &Robot, states: &[Motion]) -> Vec<f64> {
+    let gravity = |robot: &Robot| -> Vec<PerJoint<f64>> {
+        let model = RigidBodies::new(robot);
+        let of = |state: &Motion| model.gravity_torques(&state.q);
+        states.iter().map(of).collect()
+    };
+    let described = gravity(bare);
+    let mut squares = vec![0.0; bare.joint_count()];
+    for (link, axis) in (0..squares.len()).flat_map(|link| (0..3).map(move |axis| (link, axis))) {
+        let mut other = bare.clone();
+        other.joints[link].link.com[axis] += CENTRE_M;
+        for (moved, own) in gravity(&other).iter().zip(&described) {
+            for (joint, square) in squares.iter_mut().enumerate() {
+                *square += (moved[joint] - own[joint]).powi(2);
+            }
+        }
+    }
+    squares
 }
 
 /// The reading of the columns that explains the torques far better than the one that was taken, if there is one.
@@ -284,6 +317,53 @@ pub(super) fn other_reading(
 mod tests {
     use super::*;
 
+    /// Finding of the log of `own`, its base on a slope, by the description `arm`.
+    fn read(arm: &Robot, own: &Robot, slope: f64, scale: f64) -> Option<String> {
+        let gravity = Vector3::new(slope.sin(), 0.0, -slope.cos()) * 9.81;
+        let model = RigidBodies::new(&Robot {
+            gravity,
+            ..own.clone()
+        });
+        let joints = arm.joint_count();
+        let rows = (0..600).map(|row| {
+            let wave = |joint: usize| {
+                let w = 1.0 + 0.3 * joint as f64;
+                (w, (w * 0.01 * f64::from(row)).sin_cos())
+            };
+            let of = |value: &dyn Fn(f64, f64, f64) -> f64| {
+                PerJoint::from_fn(joints, |joint| {
+                    let (w, (sin, cos)) = wave(joint);
+                    value(w, sin, cos)
+                })
+            };
+            let state = Motion {
+                q: of(&|_, sin, _| 2.0 * sin),
+                qd: of(&|w, _, cos| 2.0 * w * cos),
+                qdd: of(&|w, sin, _| -2.0 * w * w * sin),
+            };
+            let noise = 0.01 * f64::from(row * 7 % 11 - 5);
+            let mut tau = model.inverse_dynamics(&state);
+            tau.iter_mut().for_each(|tau| *tau = scale * *tau + noise);
+            (state, tau)
+        });
+        let rows: Vec<_> = rows.collect();
+        other_reading(arm, &rows, &vec![Extremes::none(); joints], &|_| 0.0)
+    }
+
+    /// An error of the described centre of mass turns the gravity of a single joint as a slope does.
+    #[test]
+    fn the_centre_of_mass_of_a_single_joint_is_no_slope() {
+        let mut arm = Robot::load("ur5").expect("built in");
+        arm.joints = vec![arm.joints[1].clone()];
+        arm.joints[0].drive.rotor_inertia = 0.0;
+        let mut own = arm.clone();
+        own.joints[0].link.com.y += CENTRE_M;
+        own.joints[0].link.com.x += CENTRE_M;
+        assert_eq!(read(&arm, &own, 0.0, 1.0), None);
+        let text = read(&arm, &arm, 0.5, 1.0).expect("a slope");
+        assert!(text.contains("gravity_m_s2 = [4.7, 0.0, -8.6]"), "{text}");
+    }
+
     /// All axes of the arm are vertical, and its base is on a slope.
     #[test]
     fn the_slope_of_an_arm_with_parallel_axes_is_found() {
@@ -293,45 +373,15 @@ mod tests {
             joint.placement.origin = Vector3::new(0.3, 0.0, 0.05);
             joint.drive.rotor_inertia = 0.0;
         }
-        let read = |arm: &Robot, slope: f64, scale: f64| {
-            let gravity = Vector3::new(slope.sin(), 0.0, -slope.cos()) * 9.81;
-            let model = RigidBodies::new(&Robot {
-                gravity,
-                ..arm.clone()
-            });
-            let rows = (0..600).map(|row| {
-                let wave = |joint: usize| {
-                    let w = 1.0 + 0.3 * joint as f64;
-                    (w, (w * 0.01 * f64::from(row)).sin_cos())
-                };
-                let of = |value: &dyn Fn(f64, f64, f64) -> f64| {
-                    PerJoint::from_fn(6, |joint| {
-                        let (w, (sin, cos)) = wave(joint);
-                        value(w, sin, cos)
-                    })
-                };
-                let state = Motion {
-                    q: of(&|_, sin, _| sin),
-                    qd: of(&|w, _, cos| w * cos),
-                    qdd: of(&|w, sin, _| -w * w * sin),
-                };
-                let noise = 0.01 * f64::from(row * 7 % 11 - 5);
-                let mut tau = model.inverse_dynamics(&state);
-                tau.iter_mut().for_each(|tau| *tau = scale * *tau + noise);
-                (state, tau)
-            });
-            let rows: Vec<_> = rows.collect();
-            other_reading(arm, &rows, &[Extremes::none(); 6], &|_| 0.0)
-        };
-        assert_eq!(read(&arm, 0.0, 1.0), None);
-        let text = read(&arm, 0.1, 1.0).expect("a slope");
+        assert_eq!(read(&arm, &arm, 0.0, 1.0), None);
+        let text = read(&arm, &arm, 0.1, 1.0).expect("a slope");
         assert!(text.contains("gravity_m_s2 = [1.0, 0.0, -9.8]"), "{text}");
         assert!(text.contains("a base turned by 0.10 rad"), "{text}");
         // Gravity has one size, whatever the scale of the torques, and a slope that is not there is no lack of gravity.
-        let text = read(&arm, FRAC_PI_2, 3.0).expect("a wall");
+        let text = read(&arm, &arm, FRAC_PI_2, 3.0).expect("a wall");
         assert!(text.contains("gravity_m_s2 = [9.8, 0.0, 0.0]"), "{text}");
         arm.gravity = Vector3::new(0.1_f64.sin(), 0.0, -0.1_f64.cos()) * 9.81;
-        let text = read(&arm, 0.0, 1.0).expect("no slope");
+        let text = read(&arm, &arm, 0.0, 1.0).expect("no slope");
         assert!(text.contains("gravity_m_s2 = [0.0, 0.0, -9.8]"), "{text}");
     }
 }
