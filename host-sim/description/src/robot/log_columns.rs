@@ -95,23 +95,36 @@ const UNITS: [(usize, &str, f64); 21] = [
     (5, "mA", 1e-3),
 ];
 
-/// Value in SI of one unit of each quantity of a log, written `q=deg,t=ms`. Velocities and accelerations follow the unit
-/// of the positions unless they have their own. A minus before a unit, as in `tau=-Nm`, is for a source that counts the other
-/// way.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+/// Units of some quantities of a log, written `q=deg,t=ms`. A minus before a unit, as in `tau=-Nm`, is for a source that
+/// counts the other way.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Units {
     text: String,
-    /// SI value of one unit of time, position, velocity, acceleration, torque and current.
-    pub scale: [f64; 6],
+    /// SI value of one unit of time, position, velocity, acceleration, torque and current, where it is given.
+    given: [Option<f64>; 6],
 }
 
-impl Default for Units {
-    fn default() -> Self {
-        Self {
-            text: String::new(),
-            scale: [1.0; 6],
-        }
+impl Units {
+    /// These units, and those of `below` for quantities that have none here.
+    pub fn over(self, below: Option<Self>) -> Self {
+        let Some(below) = below else { return self };
+        let given = std::array::from_fn(|k| self.given[k].or(below.given[k]));
+        // Of two units of one quantity the later one holds.
+        let texts = [below.text, self.text].into_iter();
+        let texts: Vec<String> = texts.filter(|text| !text.is_empty()).collect();
+        let text = texts.join(",");
+        Self { text, given }
+    }
+
+    /// SI value of one unit of time, position, velocity, acceleration, torque column and current; 1 without a unit.
+    ///
+    /// Velocities and accelerations without a unit follow the positions. Torque columns that hold currents, by `effort`, have
+    /// the unit of currents where there is one.
+    pub fn scale(&self, effort: Option<EffortKind>) -> [f64; 6] {
+        let [t, q, qd, qdd, tau, i] = self.given;
+        let tau = i.filter(|_| effort == Some(EffortKind::Current)).or(tau);
+        [t, q, qd.or(q), qdd.or(q), tau, i].map(|unit| unit.unwrap_or(1.0))
     }
 }
 
@@ -119,7 +132,7 @@ impl FromStr for Units {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let mut found = [None; 6];
+        let mut given = [None; 6];
         for part in text.split(',') {
             let (quantity, unit) = part.split_once('=').unwrap_or((part, ""));
             let mut known = QUANTITIES.iter();
@@ -136,13 +149,10 @@ impl FromStr for Units {
                 let known = known.join(", ");
                 return Err(format!("'{unit}' is no unit of {quantity}: {known}"));
             };
-            found[place] = Some(sign * scale);
+            given[place] = Some(sign * scale);
         }
-        let mut scale = found.map(|scale| scale.unwrap_or(1.0));
-        scale[2] = found[2].unwrap_or(scale[1]);
-        scale[3] = found[3].unwrap_or(scale[1]);
         let text = text.to_owned();
-        Ok(Self { text, scale })
+        Ok(Self { text, given })
     }
 }
 
@@ -270,9 +280,20 @@ mod tests {
     fn units_are_read_and_velocities_follow_positions() {
         let units: Units = "q=deg,t=ms,tau=mNm".parse().expect("known");
         let degree = std::f64::consts::PI / 180.0;
-        assert_eq!(units.scale, [1e-3, degree, degree, degree, 1e-3, 1.0]);
+        assert_eq!(units.scale(None), [1e-3, degree, degree, degree, 1e-3, 1.0]);
         let units: Units = "q=-deg,tau=-Nm,i=A".parse().expect("known");
-        assert_eq!(units.scale, [1.0, -degree, -degree, -degree, -1.0, 1.0]);
+        assert_eq!(
+            units.scale(None),
+            [1.0, -degree, -degree, -degree, -1.0, 1.0]
+        );
+        let current = Some(EffortKind::Current);
+        assert_eq!(units.scale(current)[4], 1.0);
+        let below: Units = "tau=mNm,qd=rpm,t=ms".parse().expect("known");
+        let both = units.over(Some(below));
+        assert_eq!(both.scale(None)[..2], [1e-3, -degree]);
+        assert_eq!(both.scale(None)[3..], [-degree, -1.0, 1.0]);
+        let text = String::from(both.clone());
+        assert_eq!(text.parse::<Units>().expect("known").given, both.given);
         for wrong in ["q=grad", "q=--deg", "t=-s", "speed=rad", "q", ""] {
             assert!(wrong.parse::<Units>().is_err(), "{wrong}");
         }

@@ -166,9 +166,9 @@ impl LogReader {
         let mut rows = Rows::named(path, &given.names, &topics)?;
         let mut notes = rows.notes.clone();
         let (map, mapped) = map_of(&rows, given, robot, &mut notes)?;
-        let own_units = map.all_units.clone().unwrap_or_default().scale;
-        let map_units = map.all_units.as_ref().or(map.units.as_ref());
-        let map_units = map_units.cloned().unwrap_or_default().scale;
+        let all_units = map.all_units.clone().unwrap_or_default();
+        let [own_units, map_units] = [None, map.units.clone()]
+            .map(|of_map| all_units.clone().over(of_map).scale(map.effort));
         let time = match (map.rate_hz, &map.t_s, rows.find("t_s")?) {
             (Some(_), Some(_), _) => {
                 let problem = "t_s and rate_hz in one map of columns: keep one of them";

@@ -191,6 +191,47 @@ fn every_source_gives_the_same_rows() {
 }
 
 #[test]
+fn units_replace_those_of_the_quantities_they_name() {
+    let read_with = |name: &str, text: &str, units: &str, effort| {
+        let mut robot = ur5();
+        robot.log_columns = Some(LogColumns {
+            all_units: Some(units.parse().expect("known")),
+            effort,
+            ..LogColumns::default()
+        });
+        read_text(name, text, &robot).expect(name).0
+    };
+    // Degrees of the one source and milliseconds of the other stay.
+    let degree = PI / 180.0;
+    let lerobot = ["{name}.pos", "{name}.vel", "{name}.torque"];
+    let lerobot = table(lerobot, "timestamp", ",", [1.0, degree, degree, 1e-3]);
+    let franka = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]"];
+    let franka = table(franka, "time", ",", [1e-3, 1.0, 1.0, 1e-3]);
+    for (name, text) in [("lerobot.csv", lerobot), ("franka.csv", franka)] {
+        is_the_motion(&read_with(name, &text, "tau=mNm", None), name);
+    }
+    // Currents in the columns of torques.
+    let ros = [
+        "{name}_joint/position",
+        "{name}_joint/velocity",
+        "{name}_joint/effort",
+    ];
+    let current = Some(EffortKind::Current);
+    let [ampere, milli] = [("i=A", 1.0), ("i=mA", 1e-3)].map(|(units, unit)| {
+        let text = table(ros, "t_s", ",", [1.0, 1.0, 1.0, unit]);
+        read_with("currents.csv", &text, units, current)
+    });
+    let gains: Vec<f64> = ur5().joints.iter().map(|joint| joint.gain()).collect();
+    for ((one, other), k) in ampere.iter().zip(&milli).zip(0..) {
+        for (joint, tau) in row(k).3.iter().enumerate() {
+            let wanted = gains[joint] * tau;
+            assert!((one.tau[joint] - wanted).abs() < 1e-9);
+            assert!((other.tau[joint] - wanted).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
 fn a_required_map_wins_over_own_names() {
     // Commands under the own names, measured torques beside them.
     let own = own();
