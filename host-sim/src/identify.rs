@@ -8,11 +8,11 @@ use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::identification::{
-    ColumnSet, Finding, GainRecord, IdentifyConfig, Layout, METHODS, MethodName, Outcome,
-    PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
+    ColumnSet, Finding, GainRecord, IdentifyConfig, Judgement, Layout, METHODS, MethodName,
+    Outcome, PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
 };
 use foretorque_workbench::report::ReportFiles;
-use foretorque_workbench::report::page::ratio;
+use foretorque_workbench::report::page::{or_dash, ratio};
 use foretorque_workbench::robot::{Perturbation, Robot};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ pub(super) struct Arguments {
     #[arg(long, value_parser = positive)]
     motion_hz: Option<f64>,
     /// Cut-off of the zero-phase filter on torque and regressor, Hz; 0 for none; without it 20, or 0.2 of the rows a
-    /// second of a slow log
+    /// second of a slow log, and at most half of that on the motion
     #[arg(long, value_parser = not_negative)]
     torque_hz: Option<f64>,
     /// A joint slower than this stands still, rad/s
@@ -186,12 +186,14 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         }
         chosen => chosen.to_vec(),
     };
-    let torque_hz = arguments.torque_hz.or(rows.torque_hz);
+    let motion_hz = arguments.motion_hz.unwrap_or(rows.motion_hz);
+    let below_motion = rows.torque_hz.map(|hz| hz.min(0.5 * motion_hz));
+    let torque_hz = arguments.torque_hz.or(below_motion);
     Ok(IdentifyConfig {
         methods,
         columns: arguments.columns.clone(),
         prepare: PrepareConfig {
-            motion_hz: arguments.motion_hz.unwrap_or(rows.motion_hz),
+            motion_hz,
             torque_hz: torque_hz.filter(|hz| *hz > 0.0),
             still_rad_s: arguments.still_rad_s,
         },
@@ -234,19 +236,20 @@ fn identify_arm(
             );
         }
     };
-    if !arguments.force {
-        let way = "no bank; --force identifies all the same";
-        let judged = sound(&judgement, &arguments.logs, way).and_then(|()| {
-            let unseen = arguments.validate.iter().chain(&arguments.test);
-            unseen.map(std::slice::from_ref).try_for_each(|log| {
-                sound(
-                    &judge(robot, log, &config.columns, &config.prepare)?,
-                    log,
-                    way,
-                )
-            })
-        });
-        judged?;
+    let refuse = |judgement: &Judgement, logs: &[PathBuf]| match arguments.force {
+        true => Ok(()),
+        false => sound(judgement, logs, "no bank; --force identifies all the same"),
+    };
+    refuse(&judgement, &arguments.logs)?;
+    let mut findings = judgement.findings.clone();
+    for log in arguments.validate.iter().chain(&arguments.test) {
+        let logs = std::slice::from_ref(log);
+        let judgement = judge(robot, logs, &config.columns, &config.prepare)?;
+        refuse(&judgement, logs)?;
+        findings.extend(judgement.findings.into_iter().map(|mut finding| {
+            finding.text = format!("{}: {}", log.display(), finding.text);
+            finding
+        }));
     }
     let bar = ProgressBar::new_spinner();
     // A template that does not parse would only cost the line its looks.
@@ -265,7 +268,7 @@ fn identify_arm(
     bar.finish_and_clear();
     let report = &mut outcome.report;
     report.drive_gains = drive_gains;
-    report.findings.extend(judgement.findings.iter().cloned());
+    report.findings.extend(findings);
     report.data_check = Some(judgement);
     report.findings.extend(unexplained(report));
     report.findings.sort_by_key(|finding| !finding.refuses);
@@ -275,12 +278,22 @@ fn identify_arm(
     let bank = refused.map_or_else(|| bank(robot, &outcome), |_| None);
     let [_, _, made @ ..] = RESULTS;
     let stays = within(out, &made).any(|file| file.exists());
-    // A refused fit leaves what an earlier one gave.
-    match refused {
-        Some(_) => remove_stale(out, &["report.json", "report.html"])?,
-        None => remove_stale(out, &RESULTS)?,
-    }
+    let described = outcome.robot.as_ref();
+    let toml = described.map(Robot::to_toml).transpose()?;
+    let urdf = described.map(foretorque_workbench::urdf::write);
+    let bytes = bank.as_ref().map(super::bank::bytes).transpose()?;
+    let [toml, urdf] = [toml, urdf].map(|text| text.map(String::into_bytes));
+    let contents = [("bank", bytes), ("robot", toml), ("robot", urdf)];
     let shown = files.finish(report, &page(report, &outcome.trace))?;
+    // A refused fit leaves what an earlier one gave.
+    let made = made.into_iter().zip(contents);
+    let made: Vec<_> = made.filter(|_| refused.is_none()).collect();
+    for (name, (_, content)) in &made {
+        match content {
+            Some(content) => write_whole(&out.join(name), content)?,
+            None => remove_stale(out, &[name])?,
+        }
+    }
     for note in &report.notes {
         show!("note  {note}")?;
     }
@@ -308,8 +321,9 @@ fn identify_arm(
         );
         for (file, record) in method.validation.iter().chain(&method.test) {
             let joints = newton_metres(&record.rmse_moving_nm);
-            let percent = 100.0 * record.joints_nrmse_moving_ratio;
-            line += &format!("   {file} {joints} N·m ({percent:.2} %)");
+            let error = record.joints_nrmse_moving_ratio;
+            let percent = or_dash(error, |error| format!("{:.2}", 100.0 * error));
+            line += &format!("   {file} {joints} N·m ({percent} %)");
         }
         show!("{line}")?;
     }
@@ -327,18 +341,10 @@ fn identify_arm(
             "note  bank and description of an earlier run stay, the report is of the refused fit"
         )?;
     }
-    if let (Some(robot), None) = (&outcome.robot, refused) {
-        let urdf = foretorque_workbench::urdf::write(robot);
-        for (name, text) in [("robot.toml", robot.to_toml()?), ("robot.urdf", urdf)] {
-            let path = out.join(name);
-            write_whole(&path, text.as_bytes())?;
-            show!("robot   {}", path.display())?;
+    for (name, (kind, content)) in &made {
+        if content.is_some() {
+            show!("{kind:<8}{}", out.join(name).display())?;
         }
-    }
-    if let Some(bank) = &bank {
-        let path = out.join("parameters.bank");
-        write_whole(&path, &super::bank::bytes(bank)?)?;
-        show!("bank    {}", path.display())?;
     }
     show!("report  {}", shown.display())?;
     if let (Some(_), None) = (&robot.coupling, refused) {

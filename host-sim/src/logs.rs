@@ -33,7 +33,8 @@ pub(super) struct LogOptions {
     /// Names of the columns of logs without a header row, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "LIST")]
     names: Vec<String>,
-    /// Units of all logs where they are not SI, such as q=deg,t=ms,tau=mNm: for --log, --validate and --test alike
+    /// Units of all logs where they are not SI, such as q=deg,t=ms,tau=mNm: for --log, --validate and --test alike. Quantities
+    /// that are not named keep the units of their source or file
     #[arg(long)]
     units: Option<Units>,
     /// Quantity in the torque columns: torque, current (times the drive gain) or motor (times gear_ratios of --columns-from)
@@ -71,7 +72,10 @@ impl LogOptions {
         }
         columns.effort = self.effort.or(columns.effort);
         let of_map = columns.units.clone().filter(|_| columns.required);
-        columns.all_units = self.units.clone().or(of_map);
+        columns.all_units = match self.units.clone() {
+            Some(units) => Some(units.over(of_map)),
+            None => of_map,
+        };
         robot.log_columns = (columns != LogColumns::default()).then_some(columns);
         Ok(())
     }
@@ -222,10 +226,9 @@ impl Replay {
     }
 }
 
-/// Prints the findings that do not refuse.
 fn show_warnings(judgement: &Judgement) -> Result<(), Failure> {
-    let mut warnings = judgement.findings.iter().filter(|it| !it.refuses);
-    warnings.try_for_each(|finding| show!("warning  {}", finding.text))
+    let mut warnings = judgement.warnings();
+    warnings.try_for_each(|text| show!("warning  {text}"))
 }
 
 /// Prints the judgement of `--data-check`.
@@ -259,14 +262,11 @@ pub(super) fn show_check(judgement: &Judgement, parameters: usize) -> Result<(),
         return Err(unusable(finding.text.clone()));
     }
     let unseen = &judgement.unseen;
-    match (unseen.len(), judgement.joints.is_empty()) {
-        (0, false) => show!("no finding that refuses a bank"),
-        (0, true) => Err(unusable("no joint moves")),
-        (count, _) => {
-            let rank = parameters - count;
-            Err(IdentifyError::RankDeficient(rank, parameters, unseen.clone()).into())
-        }
+    if unseen.is_empty() {
+        return show!("no finding that refuses a bank");
     }
+    let rank = parameters - unseen.len();
+    Err(IdentifyError::RankDeficient(rank, parameters, unseen.clone()).into())
 }
 
 #[cfg(test)]
@@ -275,18 +275,14 @@ mod tests {
 
     #[test]
     fn a_check_refuses_logs_that_do_not_show_all() {
-        let check = |unseen: &[&str]| {
-            let judgement = Judgement {
-                unseen: unseen.iter().map(|name| (*name).to_owned()).collect(),
-                ..Judgement::default()
-            };
-            show_check(&judgement, 9).expect_err("refused").to_string()
+        let judgement = Judgement {
+            unseen: vec!["Fo4".to_owned()],
+            ..Judgement::default()
         };
-        let refused = check(&["Fo4"]);
+        let refused = show_check(&judgement, 9).expect_err("refused").to_string();
         assert!(
             refused.contains("(8 of 9): it does not show Fo4: --columns"),
             "{refused}"
         );
-        assert_eq!(check(&[]), "no joint moves");
     }
 }

@@ -25,7 +25,7 @@ use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use foretorque_workbench::Refusal;
 use foretorque_workbench::files::at;
-use foretorque_workbench::identification::{Finding, Judgement};
+use foretorque_workbench::identification::{Finding, Judgement, joined};
 use foretorque_workbench::snapshot;
 use foretorque_workbench::trajectory::MOST_DURATION_S;
 use std::error::Error;
@@ -56,8 +56,7 @@ fn unusable(reason: impl Into<String>) -> Failure {
 fn sound(judgement: &Judgement, logs: &[PathBuf], way: &str) -> Result<(), Failure> {
     let refused = judgement.findings.iter().find(|finding| finding.refuses);
     refused.map_or(Ok(()), |Finding { text, .. }| {
-        let names: Vec<String> = logs.iter().map(|log| log.display().to_string()).collect();
-        Err(unusable(format!("{}: {text} ({way})", names.join(", "))))
+        Err(unusable(format!("{}: {text} ({way})", joined(logs))))
     })
 }
 

@@ -139,11 +139,92 @@ fn a_body_picked_up_in_a_validation_log_is_named() {
 }
 
 #[test]
+fn a_load_in_one_of_two_training_logs_is_named_with_its_log() {
+    let here = directory("identify-loaded");
+    log(&here.join("a.csv"), 2000, 0.0, None, 0.05);
+    log(&here.join("b.csv"), 2000, 1.1, None, 0.05);
+    let loaded = planted(
+        &text(here.join("b.csv")),
+        each(|row| row[TAU + 2] += 12.0).as_ref(),
+    );
+    write(here.join("b.csv"), loaded);
+    let logs = "--log a.csv --log b.csv --columns coulomb-viscous --methods wls --force";
+    let (stdout, _) = identified(&here, logs);
+    assert_contains(
+        &stdout,
+        "warning  b.csv: torque error of joint 3 changes by",
+    );
+}
+
+#[test]
+fn a_validation_log_at_rest_is_refused_and_chooses_nothing() {
+    let here = directory("identify-rest");
+    log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
+    let rest = planted(&text(here.join("train.csv")), &|rows| {
+        let mut first = rows[0].clone();
+        first[Q + N..TAU].fill(0.0);
+        for row in rows {
+            row[Q..].copy_from_slice(&first[Q..]);
+        }
+    });
+    write(here.join("rest.csv"), rest);
+    let identify = "--log train.csv --validate rest.csv --methods ols,consistent --out out";
+    let identify = format!("identify --robot ur5 {identify}");
+    let reason = "rest.csv: no joint moves faster than 0.05 rad/s: record a motion";
+    refused(&here, &identify, reason);
+    succeeds(&here, &format!("{identify} --force"));
+    let report = json(here.join("out/report.json"));
+    assert_eq!(report["recommended"], "consistent");
+    let record = &report["methods"]["ols"]["validation"]["rest.csv"];
+    assert!(record["joints_nrmse_moving_ratio"].is_null(), "{record}");
+}
+
+#[test]
+fn warnings_on_unseen_logs_name_the_log() {
+    let here = directory("identify-warned");
+    log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
+    log(&here.join("unseen.csv"), 2000, 1.1, None, 0.1);
+    let clipped = planted(&text(here.join("unseen.csv")), &|rows| {
+        let mut torques: Vec<f64> = rows.iter().map(|row| row[TAU + 1]).collect();
+        torques.sort_by(f64::total_cmp);
+        let most = torques[rows.len() * 49 / 50];
+        let torques = rows.iter_mut().map(|row| &mut row[TAU + 1]);
+        torques.for_each(|torque| *torque = torque.min(most));
+    });
+    for name in ["clipped.csv", "copy.csv"] {
+        write(here.join(name), &clipped);
+    }
+    let logs = "--log train.csv --validate clipped.csv --test copy.csv --methods wls";
+    let (stdout, report) = identified(&here, &format!("{logs} --motion-hz 10"));
+    assert_contains(
+        &stdout,
+        "warning  clipped.csv: torque of joint 2 is cut off at",
+    );
+    let copy = "warning  copy.csv holds what the validation log clipped.csv holds";
+    assert_contains(&stdout, copy);
+    // The torque is filtered well below the motion, unless the user wants it otherwise.
+    assert_eq!(number(&report["torque_cutoff_hz"]), 5.0);
+    let (stdout, report) = identified(&here, &format!("{logs} --motion-hz 10 --torque-hz 15"));
+    assert_eq!(number(&report["torque_cutoff_hz"]), 15.0);
+    assert_contains(&stdout, "note  torque and regressor are filtered at 15 Hz");
+    // A report that cannot be written leaves the bank of the run before.
+    let bank = std::fs::read(here.join("out/parameters.bank")).expect("written");
+    std::fs::remove_file(here.join("out/report.html")).expect("written");
+    std::fs::create_dir(here.join("out/report.html")).expect("creates");
+    let identify = format!("identify --robot ur5 --out out {logs}");
+    refused(&here, &identify, "report.html");
+    let left = std::fs::read(here.join("out/parameters.bank"));
+    assert_eq!(left.expect("left"), bank);
+}
+
+#[test]
 fn the_consistent_parameters_are_a_description_that_can_be_used() {
     let here = directory("identify-consistent");
     // Noise enough to drive least squares out of the physical parameters.
     log(&here.join("train.csv"), 2000, 0.0, None, 3.0);
-    let (_, report) = identified(&here, "--log train.csv --methods irls,consistent");
+    let (stdout, report) = identified(&here, "--log train.csv --methods irls,consistent");
+    let lost = "have no place for all of the friction columns offset, load:";
+    assert_contains(&stdout, lost);
     let load = |name: &str| Robot::load(&here.join(name).to_string_lossy()).expect(name);
     let identified = load("out/robot.toml");
     let parameters = &report["methods"]["consistent"]["parameters"];

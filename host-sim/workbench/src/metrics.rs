@@ -16,6 +16,11 @@ pub fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
     (sum / f64::max(count, 1.0)).sqrt()
 }
 
+/// An even sample of `items`, of `most` at most.
+pub(crate) fn even_sample<T>(items: &[T], most: usize) -> impl ExactSizeIterator<Item = &T> {
+    items.iter().step_by(items.len().div_ceil(most).max(1))
+}
+
 /// Root of the mean square of the known `values`.
 pub(crate) fn root_mean_square(values: &[Option<f64>]) -> f64 {
     root_mean(values.iter().flatten().map(|value| value * value))
@@ -83,10 +88,11 @@ impl ErrorSums {
     }
 }
 
-/// sqrt(mean_j (RMS err_j / RMS tau_j)²); joints without samples or torque are left out.
-pub(crate) fn nrmse(sums: &[ErrorSums]) -> f64 {
+/// sqrt(mean_j (RMS err_j / RMS tau_j)²); joints without samples or torque are left out, and of these alone there is none.
+pub(crate) fn nrmse(sums: &[ErrorSums]) -> Option<f64> {
     let joints = sums.iter().filter(|sums| sums.truth > 0.0);
-    root_mean(joints.map(|sums| sums.error / sums.truth))
+    let squares: Vec<f64> = joints.map(|sums| sums.error / sums.truth).collect();
+    (!squares.is_empty()).then(|| root_mean(squares))
 }
 
 impl<const N: usize> Default for TorqueError<N> {
@@ -109,14 +115,14 @@ impl<const N: usize> TorqueError<N> {
         }
     }
 
-    /// NRMSE over all samples, a ratio.
+    /// NRMSE over all samples, a ratio; 0 of none.
     pub fn nrmse(&self) -> f64 {
-        nrmse(&self.all)
+        nrmse(&self.all).unwrap_or(0.0)
     }
 
-    /// NRMSE over the samples in which the joint moves, a ratio.
+    /// NRMSE over the samples in which the joint moves, a ratio; 0 of none.
     pub fn nrmse_moving(&self) -> f64 {
-        nrmse(&self.moving)
+        nrmse(&self.moving).unwrap_or(0.0)
     }
 
     /// RMS error of every joint over all samples, N·m.

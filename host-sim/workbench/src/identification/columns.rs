@@ -127,7 +127,7 @@ impl ColumnSet {
 
     fn words(&self) -> Vec<&'static str> {
         let sets = sets().into_iter();
-        let chosen = sets.filter(|(_, terms)| self.0.contains(&terms[0]));
+        let chosen = sets.filter(|(_, terms)| terms.iter().any(|term| self.0.contains(term)));
         chosen.map(|(name, _)| name).collect()
     }
 }
@@ -283,6 +283,15 @@ impl Layout {
         for (place, precision) in self.precision.iter().enumerate() {
             gram[(place, place)] += precision;
         }
+    }
+
+    /// Words for the friction columns that a description holds in part or not at all: it has no offset and no load friction,
+    /// and cogging of one phase.
+    pub(super) fn undescribed(&self) -> Vec<&'static str> {
+        use FrictionColumn::{CoggingSine, Coulomb, ShearThinning, Stribeck, Viscous};
+        let described = [Viscous, Coulomb, Stribeck, ShearThinning, CoggingSine].map(Board);
+        let terms = self.friction.iter().flatten().copied();
+        ColumnSet(terms.filter(|term| !described.contains(term)).collect()).words()
     }
 
     /// Number of joints.

@@ -144,6 +144,8 @@ pub(super) struct Dataset {
     pub(super) sums: RowSums,
     /// A sample of the rows that went into the sums.
     pub(super) sample: Thinned<SampleRow>,
+    /// Number of these rows up to the end of each log.
+    ends: Vec<usize>,
     /// Sums over raw torques by speed.
     pub(super) speeds: SpeedSums,
     /// Rows read, edges left out.
@@ -158,6 +160,7 @@ impl Dataset {
         Self {
             sums: RowSums::new(layout),
             sample: Thinned::new(SAMPLE),
+            ends: Vec::new(),
             speeds: SpeedSums::new(layout.joints()),
             rows_read: 0,
             still: PerJoint::repeat(layout.joints(), 0),
@@ -180,6 +183,17 @@ impl Dataset {
             .collect();
         self.sums.add(layout, &rows.iter().collect::<Vec<_>>());
         rows.into_iter().for_each(|row| self.sample.push(row));
+    }
+
+    /// Ends a log.
+    pub(super) fn end_log(&mut self) {
+        self.ends.push(self.sample.seen);
+    }
+
+    /// Log of the row at `place` of the sample, from 0.
+    pub(super) fn log_of(&self, place: usize) -> usize {
+        let seen = place * self.sample.stride;
+        self.ends.partition_point(|end| *end <= seen)
     }
 }
 

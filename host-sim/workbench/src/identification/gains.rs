@@ -2,14 +2,15 @@
 
 use super::log::LogReader;
 use super::record::GainRecord;
-use super::{IdentifyError, refused};
+use super::{IdentifyError, joined, refused};
 use crate::Refusal;
 use crate::dynamics::{PerJoint, RigidBodies};
 use crate::robot::Robot;
 use crate::table::TableError;
 use std::path::PathBuf;
 
-/// The arm must stand this long, s, and a stand is cut when it has lasted ten times as long.
+/// The arm must stand this long, s, and a stand is cut when it has lasted ten times as long: the arm may creep. A part at the
+/// pose of the part before is no stand of its own.
 const STAND_S: f64 = 0.2;
 /// Fewest stands.
 const FEWEST: usize = 3;
@@ -22,6 +23,23 @@ struct Stand {
     q: PerJoint<f64>,
     current: PerJoint<f64>,
     rows: f64,
+}
+
+impl Stand {
+    /// Mean position within `reach` of `q` at every joint, rad.
+    fn is_at(&self, q: &PerJoint<f64>, reach: f64) -> bool {
+        let mut pairs = self.q.iter().zip(q.iter());
+        pairs.all(|(sum, q)| (q - sum / self.rows).abs() <= reach)
+    }
+
+    /// Adds `rows` rows with these sums.
+    fn add(&mut self, q: &PerJoint<f64>, current: &PerJoint<f64>, rows: f64) {
+        for (sums, more) in [(&mut self.q, q), (&mut self.current, current)] {
+            let pairs = sums.iter_mut().zip(more.iter());
+            pairs.for_each(|(sum, more)| *sum += more);
+        }
+        self.rows += rows;
+    }
 }
 
 /// The robot with drive gains from standstill, and their records.
@@ -38,8 +56,7 @@ pub fn with_gains(
             "standstill does not show the gain of joint {}: give --drive-gains, or a log that stands still in {FEWEST} poses at least",
             joint + 1
         );
-        let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
-        return Err(Refusal::of(names.join(", "), problem).into());
+        return Err(Refusal::of(joined(logs), problem).into());
     }
     let mut robot = robot.clone();
     for (joint, record) in robot.joints.iter_mut().zip(&gains) {
@@ -59,8 +76,7 @@ fn standstill_gains(
     still_rad_s: f64,
 ) -> Result<Vec<GainRecord>, IdentifyError> {
     let model = RigidBodies::new(robot);
-    // Gravity torque and mean current of each stand.
-    let mut stands: Vec<(PerJoint<f64>, PerJoint<f64>)> = Vec::new();
+    let mut stands: Vec<Stand> = Vec::new();
     // With gains of one a torque is a current.
     let mut plain = robot.clone();
     plain
@@ -72,11 +88,14 @@ fn standstill_gains(
         if !reader.has_currents {
             return Err(refused(path, "no motor currents to find drive gains from"));
         }
-        for_each_stand(&mut reader, model.joints(), still_rad_s, |stand| {
-            let mean = |sum: PerJoint<f64>| sum.map(|sum| sum / stand.rows);
-            stands.push((model.gravity_torques(&mean(stand.q)), mean(stand.current)));
-        })?;
+        add_stands(&mut reader, model.joints(), still_rad_s, &mut stands)?;
     }
+    // Gravity torque and mean current of each stand.
+    let means = stands.iter().map(|stand| {
+        let [q, current] = [stand.q, stand.current].map(|sum| sum.map(|sum| sum / stand.rows));
+        (model.gravity_torques(&q), current)
+    });
+    let stands: Vec<(PerJoint<f64>, PerJoint<f64>)> = means.collect();
     let record = |joint: usize| {
         let pairs = || stands.iter().map(|(g, i)| (g[joint], i[joint]));
         let power: f64 = pairs().map(|(g, _)| g * g).sum();
@@ -96,23 +115,21 @@ fn standstill_gains(
     Ok((0..model.joints()).map(record).collect())
 }
 
-/// Calls `take` with every stand of a log that lasts long enough.
-fn for_each_stand(
+/// Adds every stand of a log that lasts long enough to `stands`, or to the last of them at the same pose.
+fn add_stands(
     reader: &mut LogReader,
     joints: usize,
     still_rad_s: f64,
-    mut take: impl FnMut(Stand),
+    stands: &mut Vec<Stand>,
 ) -> Result<(), TableError> {
+    let reach = still_rad_s * STAND_S;
     let mut stand: Option<Stand> = None;
     let mut last_s = 0.0;
     loop {
         let row = reader.next_row()?;
         let still = row.as_ref().is_some_and(|row| match &stand {
             _ if reader.has_velocity() => row.qd.iter().all(|qd| qd.abs() <= still_rad_s),
-            Some(stand) => {
-                let mut apart = row.q.iter().zip(stand.q.iter());
-                apart.all(|(q, sum)| (q - sum / stand.rows).abs() <= still_rad_s * STAND_S)
-            }
+            Some(stand) => stand.is_at(&row.q, reach),
             None => true,
         });
         let end_s = row.as_ref().map_or(last_s, |row| row.t_s);
@@ -122,7 +139,11 @@ fn for_each_stand(
             && stand.rows > 1.0
             && end_s - stand.from_s >= STAND_S
         {
-            take(stand);
+            let mean = stand.q.map(|sum| sum / stand.rows);
+            match stands.last_mut().filter(|last| last.is_at(&mean, reach)) {
+                Some(last) => last.add(&stand.q, &stand.current, stand.rows),
+                None => stands.push(stand),
+            }
         }
         let Some(row) = row else { return Ok(()) };
         if still {
@@ -132,11 +153,7 @@ fn for_each_stand(
                 current: PerJoint::repeat(joints, 0.0),
                 rows: 0.0,
             });
-            for joint in 0..joints {
-                stand.q[joint] += row.q[joint];
-                stand.current[joint] += row.tau[joint];
-            }
-            stand.rows += 1.0;
+            stand.add(&row.q, &row.tau, 1.0);
         }
     }
 }
@@ -146,19 +163,42 @@ mod tests {
     use super::*;
     use std::fmt::Write;
 
+    /// Gain of joint 2 of a UR5 by a log of -1 A there whose angle is `q` at a time, with and without velocities.
+    fn found(seconds: u32, q: fn(f64) -> f64) -> [GainRecord; 2] {
+        let mut robot = Robot::load("ur5").expect("built in");
+        robot.joints.truncate(2);
+        [",qd1_rad_s,qd2_rad_s", ""].map(|velocities| {
+            let mut text = format!("t_s,q1_rad,q2_rad,i1_a,i2_a{velocities}\n");
+            for k in 0..100 * seconds {
+                let t_s = 0.01 * f64::from(k);
+                let qd = 100.0 * (q(t_s + 0.01) - q(t_s));
+                let more = velocities.replace("qd1_rad_s", "0");
+                let more = more.replace("qd2_rad_s", &qd.to_string());
+                writeln!(text, "{t_s},0,{},0,-1{more}", q(t_s)).expect("a string");
+            }
+            let here = tempfile::tempdir().expect("creates");
+            let path = here.path().join("log.csv");
+            std::fs::write(&path, text).expect("writes");
+            standstill_gains(&robot, &[path], 0.05).expect("a log")[1]
+        })
+    }
+
     #[test]
     fn the_end_of_a_log_is_no_stand() {
-        let mut robot = Robot::load("ur5").expect("built in");
-        robot.joints.truncate(1);
-        let mut text = "t_s,q1_rad,i1_a\n".to_owned();
-        for k in 0..100 {
-            let t_s = 0.01 * f64::from(k);
-            writeln!(text, "{t_s},{t_s},1").expect("a string");
+        for gain in found(1, |t_s| t_s) {
+            assert_eq!(gain.stands, 0);
         }
-        let here = tempfile::tempdir().expect("creates");
-        let path = here.path().join("moves.csv");
-        std::fs::write(&path, text).expect("writes");
-        let gains = standstill_gains(&robot, &[path], 0.05).expect("a log");
-        assert_eq!(gains[0].stands, 0);
+    }
+
+    #[test]
+    fn a_long_rest_in_one_pose_is_one_stand() {
+        for gain in found(10, |_| 0.3) {
+            assert_eq!((gain.stands, gain.std_nm_a), (1, None));
+        }
+        // Four poses of 2.5 s, each of them more than one part.
+        for gain in found(10, |t_s| 0.3 + 0.1 * (t_s / 2.5).floor()) {
+            assert_eq!(gain.stands, 4);
+            assert!(gain.std_nm_a.is_some());
+        }
     }
 }

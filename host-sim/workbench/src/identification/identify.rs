@@ -2,7 +2,7 @@
 
 use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
-use super::judge::{Judgement, after_fit, change};
+use super::judge::{Judgement, after_fit, at_rest, change};
 use super::methods::{Fit, MethodName, wls};
 use super::normal::CoggingAmplitudes;
 use super::prepare::PrepareConfig;
@@ -10,8 +10,8 @@ use super::problem::{Candidate, Problem, Progress, TrainingData};
 use super::record::{RIVALS, Report, Unseen};
 use super::solve::solve_all;
 use super::stream::{folded, for_each_prepared};
-use super::study::{Study, key_of, recommended, truths};
-use super::{IdentifyError, numbers};
+use super::study::{Methods, Study, key_of, recommended, truths};
+use super::{IdentifyError, joined, numbers};
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
@@ -20,6 +20,8 @@ use foretorque::dynamics::COGGING_COLUMNS;
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::ParameterSet;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 /// Settings of an identification.
@@ -103,6 +105,7 @@ pub fn identify(
         layout: &layout,
         board: &board,
         methods: &config.methods,
+        networks: true,
         seed: config.seed,
     };
     let unseen_logs = [validate, &config.test].concat();
@@ -116,10 +119,10 @@ pub fn identify(
         unseen: Vec::new(),
         progress,
     };
-    let mut methods = study.records(&data)?;
-    let prepare = &config.prepare;
+    let (mut methods, prepare) = (Methods::new(), &config.prepare);
     let choosing = (validate, Unseen::Validation);
     let trace = study.validate(choosing, prepare, &mut methods, &mut notes)?;
+    study.complete(&data, &mut methods)?;
     let others = (&*config.test, Unseen::Test);
     study.validate(others, prepare, &mut methods, &mut notes)?;
     let recommended = recommended(&study.results, &methods);
@@ -131,11 +134,31 @@ pub fn identify(
             "the board has no column {columns}: the bank holds a fit without"
         ));
     }
+    let consistent = study.results.iter().find_map(|result| result.robot.clone());
+    let undescribed = layout.undescribed();
+    if !undescribed.is_empty() && consistent.is_some() {
+        let columns = undescribed.join(", ");
+        notes.push(format!(
+            "robot.toml and robot.urdf have no place for all of the friction columns {columns}: torques of that description lack it"
+        ));
+    }
+    if let Some(hz) = prepare.torque_hz.filter(|hz| *hz > prepare.motion_hz) {
+        let motion_hz = prepare.motion_hz;
+        notes.push(format!(
+            "torque and regressor are filtered at {hz} Hz and the motion at {motion_hz} Hz: above --motion-hz the two sides of the equation differ, give a lower --torque-hz"
+        ));
+    }
     let mut judgement = Judgement::default();
-    for path in &unseen_logs {
-        if let Some(same) = logs.iter().find(|log| same_content(log, path)) {
-            let (path, same) = (path.display(), same.display());
-            judgement.find(false, format!("{path} holds what the training log {same} holds: its errors are not those of unseen motion"));
+    let pairs = [
+        ("training", logs, &*unseen_logs),
+        ("validation", validate, &config.test),
+    ];
+    for (kind, used, unseen) in pairs {
+        for path in unseen {
+            if let Some(same) = used.iter().find(|log| same_content(log, path)) {
+                let (path, same) = (path.display(), same.display());
+                judgement.find(false, format!("{path} holds what the {kind} log {same} holds: its errors are not those of unseen motion"));
+            }
         }
     }
     let fit = study.results.iter().find_map(|result| result.fit.as_ref());
@@ -143,11 +166,12 @@ pub fn identify(
     let is_tilted = fit.is_some_and(|fit| after_fit(&mut judgement, robot, &layout, fit, rows));
     // The error of a model without the tilt changes with the pose, as that of one without a body in the hand does.
     if !is_tilted {
-        if let Some(text) = change(&layout, rows, &best.candidate) {
-            judgement.find(false, text);
+        if let Some((place, text)) = change(&layout, rows, &best.candidate) {
+            let log = logs[dataset.log_of(place)].display();
+            judgement.find(false, format!("{log}: {text}"));
         }
         for (log, rows) in &study.unseen {
-            if let Some(text) = change(&layout, rows, &best.candidate) {
+            if let Some((_, text)) = change(&layout, rows, &best.candidate) {
                 judgement.find(false, format!("{log}: {text}"));
             }
         }
@@ -198,7 +222,6 @@ pub fn identify(
         } => (Some(networks.clone()), Some(*cogging)),
         _ => (None, None),
     };
-    let consistent = study.results.iter().find_map(|result| result.robot.clone());
     let trace = trace.into_iter();
     Ok(Outcome {
         report,
@@ -257,10 +280,10 @@ fn gather(
                 dataset.add(layout, own, &prepared);
             })?;
         }
+        dataset.end_log();
     }
     if dataset.sums.all.count() == 0.0 {
-        let names: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
-        return Err(Refusal::of(names.join(", "), "no joint moves").into());
+        return Err(Refusal::of(joined(logs), at_rest(prepare)).into());
     }
     dataset.sums.all.check_rank(layout)?;
     if dataset.sample.stride > 1 {
@@ -288,9 +311,23 @@ fn over(own: &[Option<f64>], other: &[Option<f64>], size: &[Option<f64>]) -> f64
 
 /// Two files with the same bytes.
 pub fn same_content(one: &Path, other: &Path) -> bool {
-    let length = |path: &Path| std::fs::metadata(path).map(|file| file.len()).ok();
-    let bytes = |path: &Path| std::fs::read(path).ok();
-    length(one) == length(other) && bytes(one).is_some() && bytes(one) == bytes(other)
+    let open = |path: &Path| {
+        let kind = std::fs::metadata(path).ok().filter(|kind| kind.is_file())?;
+        let file = File::open(path).ok()?;
+        Some((kind.len(), BufReader::new(file)))
+    };
+    let (Some((size, mut one)), Some((other_size, mut other))) = (open(one), open(other)) else {
+        return false;
+    };
+    while let (true, Ok(a), Ok(b)) = (size == other_size, one.fill_buf(), other.fill_buf()) {
+        let count = a.len().min(b.len());
+        match count {
+            _ if a[..count] != b[..count] => return false,
+            0 => return a.len() == b.len(),
+            _ => [&mut one, &mut other].map(|file| file.consume(count)),
+        };
+    }
+    false
 }
 
 /// The bank of a fit over columns the board has; `None` when the layout is not that of `A`.

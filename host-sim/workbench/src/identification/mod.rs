@@ -49,7 +49,7 @@ pub use whole_log::WholeLog;
 
 use crate::Refusal;
 use crate::table::TableError;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Failure of an identification.
 #[derive(Debug, thiserror::Error)]
@@ -102,6 +102,12 @@ fn listed(names: &[String]) -> String {
         more => format!(" and {more} more"),
     };
     names[..names.len().min(SHOWN)].join(", ") + &more
+}
+
+/// Paths of logs, separated by commas.
+pub fn joined(logs: &[PathBuf]) -> String {
+    let names = logs.iter().map(|log| log.display().to_string());
+    names.collect::<Vec<_>>().join(", ")
 }
 
 /// Numbers of joints from 1 on, in words.

@@ -80,7 +80,7 @@ fn methods_section(report: &Report) -> Section {
     let rows = report.methods.iter().map(|(name, method)| {
         let unseen = method.validation.values();
         let worst = unseen
-            .map(|record| record.joints_nrmse_moving_ratio)
+            .filter_map(|record| record.joints_nrmse_moving_ratio)
             .reduce(f64::max);
         [
             name.clone(),
@@ -112,7 +112,7 @@ fn file_section(report: &Report, file: &str) -> Section {
         let interval = record.joints_nrmse_moving_ratio_ci95;
         let mut row = vec![
             name.clone(),
-            percent(record.joints_nrmse_moving_ratio),
+            or_dash(record.joints_nrmse_moving_ratio, percent),
             or_dash(interval, |[low, high]| {
                 format!("{:.2} … {:.2} %", 100.0 * low, 100.0 * high)
             }),

@@ -8,6 +8,7 @@ use super::normal::SpeedSums;
 use super::whole_log::WholeLog;
 use super::{IdentifyError, refused};
 use crate::dynamics::{Motion, PerJoint};
+use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
 use nalgebra::DMatrix;
 use std::f64::consts::TAU;
@@ -63,7 +64,7 @@ fn cut_off_of_step(step: f64, most: f64, period_s: f64) -> f64 {
 
 impl PrepareConfig {
     /// A joint slower than this stands still, rad/s, by default.
-    pub const STILL_RAD_S: f64 = 0.05;
+    pub const STILL_RAD_S: f64 = MOVING_RAD_S;
 
     /// Filters of an identification for the slowest and coarsest of `logs`.
     ///

@@ -23,6 +23,8 @@ pub(super) struct Problem<'a> {
     /// The columns among them that the board has.
     pub(super) board: &'a Layout,
     pub(super) methods: &'a [MethodName],
+    /// `bp_residual` has networks, and is not the linear model that stands in for them.
+    pub(super) networks: bool,
     pub(super) seed: u64,
 }
 
@@ -176,8 +178,8 @@ pub struct MethodResult {
     pub seconds: f64,
     /// Epoch and loss, thinned.
     pub losses: Vec<(usize, f64)>,
-    /// Epochs of `bp_physical` to 1.05 times the loss of weighted least squares, accelerated and plain.
-    pub epochs_to_wls: Option<[Option<usize>; 2]>,
+    /// Epochs of `bp_physical` to 1.05 times the loss of weighted least squares.
+    pub epochs_to_wls: Option<usize>,
     /// Cost of physical consistency, nats.
     pub distance_nats: Option<f64>,
 }

@@ -25,7 +25,7 @@ pub struct ValidationRecord {
     /// RMS torque, moving rows, N·m.
     pub torque_rms_moving_nm: Vec<Option<f64>>,
     /// Root of the mean over the joints of `nrmse_moving_ratio` squared.
-    pub joints_nrmse_moving_ratio: f64,
+    pub joints_nrmse_moving_ratio: Option<f64>,
     /// 95 % interval of `joints_nrmse_moving_ratio`: bootstrap over blocks of one second of this log.
     pub joints_nrmse_moving_ratio_ci95: Option<[f64; 2]>,
     /// 95 % interval of `rmse_moving_nm`.
@@ -68,7 +68,7 @@ pub struct SplitRecord {
     pub rmse_moving_nm: Vec<Option<f64>>,
     /// RMS error over RMS torque.
     pub nrmse_moving_ratio: Vec<Option<f64>>,
-    /// RMS over the joints of each stretch.
+    /// RMS over the joints of each stretch in which a joint moves.
     pub stretches_nrmse_moving_ratio: Vec<f64>,
 }
 
@@ -81,7 +81,7 @@ impl SplitRecord {
         Self {
             rmse_moving_nm: (0..joints).map(|joint| all(joint).rmse()).collect(),
             nrmse_moving_ratio: (0..joints).map(|joint| all(joint).nrmse()).collect(),
-            stretches_nrmse_moving_ratio: stretches.iter().map(|sums| nrmse(sums)).collect(),
+            stretches_nrmse_moving_ratio: stretches.iter().filter_map(|sums| nrmse(sums)).collect(),
         }
     }
 
@@ -246,6 +246,11 @@ impl MethodRecord {
         }
     }
 
+    /// Sum of the errors on the validation logs; none of logs in which no joint moves.
+    pub(super) fn validation_error(&self) -> Option<f64> {
+        sum_of_errors(&self.validation)
+    }
+
     /// The record of a result, without validation logs.
     ///
     /// * `described` parameters of the description; `intervals` 95 % of each parameter
@@ -262,7 +267,6 @@ impl MethodRecord {
             seconds: result.seconds,
             loss_ratio: result.losses.clone(),
             distance_from_free_nats: result.distance_nats,
-            epochs_to_1_05_wls: result.epochs_to_wls,
             ..Self::default()
         };
         if let Some(fit) = &result.fit {
@@ -287,6 +291,14 @@ impl MethodRecord {
         }
         record
     }
+}
+
+/// Sum of the errors on logs; none of logs in which no joint moves.
+pub(super) fn sum_of_errors(logs: &BTreeMap<String, ValidationRecord>) -> Option<f64> {
+    let errors = logs
+        .values()
+        .filter_map(|log| log.joints_nrmse_moving_ratio);
+    errors.reduce(|sum, error| sum + error)
 }
 
 /// Norm of the error of the base parameters over their norm.

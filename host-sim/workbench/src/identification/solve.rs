@@ -10,7 +10,7 @@ use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, t
 use crate::dynamics::PerJoint;
 use crate::parallel::in_parallel;
 use crate::robot::Robot;
-use crate::training::{BlackBox, Descent, PhysicalConfig, Trained, train_residual};
+use crate::training::{BlackBox, Descent, PhysicalConfig, train_residual};
 use foretorque::feedforward::JointNetwork;
 use foretorque::learning::network_inputs;
 use nalgebra::{DMatrix, DVector};
@@ -35,6 +35,7 @@ pub fn fit_rows(
         layout,
         board,
         methods,
+        networks: true,
         seed,
     };
     solve_all(&problem, &data, &|_| ())
@@ -47,13 +48,26 @@ pub(super) fn solve_all(
     progress: Progress<'_>,
 ) -> Result<Vec<MethodResult>, IdentifyError> {
     let methods = problem.methods.iter();
+    // Three methods share the robust fit.
+    let is_robust = |name: &MethodName| {
+        matches!(
+            name,
+            MethodName::Irls | MethodName::Consistent | MethodName::Evidence
+        )
+    };
+    let (start, sums) = (Instant::now(), &data.sums.clean);
+    let robust = methods.clone().any(is_robust);
+    let robust = robust.then(|| irls(sums, &data.sample, problem.layout));
+    let robust = robust.transpose()?;
+    let robust_s = start.elapsed().as_secs_f64();
     methods
-        .map(|&name| {
+        .map(|name| {
             progress(&name.to_string());
             let start = Instant::now();
-            let result = solve_one(name, problem, data, progress)?;
+            let result = solve_one(*name, problem, data, robust.as_ref(), progress)?;
+            let shared_s = if is_robust(name) { robust_s } else { 0.0 };
             Ok(MethodResult {
-                seconds: start.elapsed().as_secs_f64(),
+                seconds: shared_s + start.elapsed().as_secs_f64(),
                 ..result
             })
         })
@@ -64,11 +78,12 @@ fn solve_one(
     name: MethodName,
     problem: &Problem<'_>,
     data: &TrainingData<'_>,
+    robust: Option<&Fit>,
     progress: Progress<'_>,
 ) -> Result<MethodResult, IdentifyError> {
     let layout = problem.layout;
     let sampled = data.sample.len();
-    let robust = || irls(&data.sums.clean, &data.sample, layout);
+    let robust = || robust.ok_or(IdentifyError::Unsolvable);
     let linear = |fit: Result<Fit, IdentifyError>, rows| {
         let fit = fit?;
         Ok(MethodResult {
@@ -80,9 +95,9 @@ fn solve_one(
     match name {
         MethodName::Ols => linear(ols(&data.sums.all, layout), data.sums.rows),
         MethodName::Wls => linear(wls(&data.sums.all, layout), data.sums.rows),
-        MethodName::Irls => linear(robust(), sampled),
+        MethodName::Irls => linear(robust().cloned(), sampled),
         MethodName::Consistent => {
-            let found = consistent(problem.robot, layout, &robust()?);
+            let found = consistent(problem.robot, layout, robust()?);
             let found = found.ok_or(IdentifyError::Unsolvable)?;
             Ok(MethodResult {
                 robot: Some(found.robot),
@@ -113,19 +128,16 @@ fn physical(
     let goal = layer.loss_of(&reference.theta);
     let mut watch =
         |epoch: usize, loss: f64| progress(&format!("bp_physical  epoch {epoch}  loss {loss:.5}"));
-    let mut train = |descent| -> Trained {
-        layer.train(&PhysicalConfig::new(descent, problem.seed), &mut watch)
-    };
-    let fast = train(Descent::Accelerated);
-    let slow = train(Descent::Plain);
-    let candidate = Candidate::Linear(fast.theta.clone());
+    let config = PhysicalConfig::new(Descent::Accelerated, problem.seed);
+    let trained = layer.train(&config, &mut watch);
+    let candidate = Candidate::Linear(trained.theta.clone());
     Ok(MethodResult {
-        epochs: fast.losses.len().saturating_sub(1),
-        losses: thinned(&fast.losses),
-        epochs_to_wls: Some([fast.epochs_to(1.05, goal), slow.epochs_to(1.05, goal)]),
+        epochs: trained.losses.len().saturating_sub(1),
+        losses: thinned(&trained.losses),
+        epochs_to_wls: trained.epochs_to(1.05, goal),
         // The minimum is that of weighted least squares, and so is the uncertainty.
         fit: Some(Fit {
-            theta: fast.theta,
+            theta: trained.theta,
             ..reference
         }),
         ..MethodResult::plain(MethodName::BpPhysical, candidate, data.sums.rows)
@@ -168,6 +180,15 @@ fn residual(
     data: &TrainingData<'_>,
     progress: Progress<'_>,
 ) -> Result<MethodResult, IdentifyError> {
+    let alone = data.sums.clean.subset(problem.layout, problem.board);
+    let alone = widened(&wls(&alone, problem.board)?, problem.layout, problem.board);
+    let plain = Candidate::Linear(alone.theta.clone());
+    if !problem.networks {
+        return Ok(MethodResult {
+            fit: Some(alone),
+            ..MethodResult::plain(MethodName::BpResidual, plain, data.sample.len())
+        });
+    }
     let joints = problem.layout.joints();
     let limits = PerJoint::from_fn(joints, |joint| problem.robot.joints[joint].limits.torque);
     let mut linear = fit(
@@ -196,17 +217,13 @@ fn residual(
     let mean: Vec<f64> = (0..epochs)
         .map(|epoch| losses.iter().map(|own| at(own, epoch)).sum::<f64>() / joints as f64)
         .collect();
-    let (fit, cogging) = linear;
-    let alone = data.sums.clean.subset(problem.layout, problem.board);
-    let alone = widened(&wls(&alone, problem.board)?, problem.layout, problem.board);
+    let (mut fit, cogging) = linear;
     let mut candidate = Candidate::Residual {
         theta: fit.theta.clone(),
         cogging,
         networks,
         limits: limits.to_vec(),
     };
-    let plain = Candidate::Linear(alone.theta.clone());
-    let mut fit = fit;
     // Networks and cogging that do not even fit their own rows better are left out.
     let square =
         |candidate: &Candidate| weighted_square(problem.layout, data, candidate, &alone.sigma);

@@ -8,19 +8,16 @@ use super::judge::description;
 use super::methods::{Fit, MethodName, evidence, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
-use super::record::{MethodRecord, RIVALS, Unseen, ValidationRecord, base_error};
+use super::record::{MethodRecord, RIVALS, Unseen, base_error, sum_of_errors};
 use super::stream::for_each_prepared;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
-use super::validation::{FileScores, Trace, learning_curves, split};
+use super::validation::{FileScores, TraceRow, learning_curve, split};
 use crate::robot::Robot;
-use crate::training::{Descent, PhysicalConfig};
+use crate::training::{Descent, LinearLayer, PhysicalConfig};
 use foretorque::dynamics::FrictionColumn;
 use nalgebra::DVector;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// Name of the linear part of networks, while it competes with them.
-const LINEAR_PART: &str = "linear part";
 
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
 
@@ -40,39 +37,47 @@ pub(super) struct Study<'a> {
 }
 
 impl Study<'_> {
-    /// Records of all methods, without validation logs.
-    pub(super) fn records(&self, data: &TrainingData<'_>) -> Result<Methods, IdentifyError> {
+    /// Completes the records of `methods`, which have their errors on the validation logs.
+    pub(super) fn complete(
+        &self,
+        data: &TrainingData<'_>,
+        methods: &mut Methods,
+    ) -> Result<(), IdentifyError> {
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
-        let mut splits = split(
-            &self.problem,
-            &self.results,
-            &self.rivals(),
-            &self.dataset.sample.kept,
-        )?;
+        let sample = &self.dataset.sample.kept;
+        let mut splits = split(&self.problem, &self.results, &self.rivals(), sample)?;
         let of_rivals = splits.split_off(self.results.len());
         let described = description(self.problem.robot, layout);
-        let mut methods = Methods::new();
         for (result, split) in self.results.iter().zip(splits) {
             let intervals = parameter_intervals(layout, data, result, seed);
             let intervals = intervals.as_deref();
             let mut record = MethodRecord::of(result, layout, truth, &described, intervals);
             record.split_80_20 = split;
             if result.name == MethodName::BpPhysical {
+                let layer = data.layer(layout, &self.bound);
+                (self.progress)("plain descent");
+                let plain = PhysicalConfig::new(Descent::Plain, seed);
+                let plain = layer.train(&plain, &mut |_, _| ());
+                let plain = plain.epochs_to(1.05, layer.loss_of(&self.bound.theta));
+                record.epochs_to_1_05_wls = Some([result.epochs_to_wls, plain]);
                 record.base_parameter_error_ratio_by_epoch =
-                    error_curve(data, layout, &self.bound, truth, seed);
+                    error_curve(&layer, layout, truth, seed);
             }
-            methods.insert(result.name.to_string(), record);
+            if let Some((_, unseen)) = self.unseen.first() {
+                (self.progress)(&format!("growing shares of the logs  {}", result.name));
+                record.learning_curve = learning_curve(result.name, &self.problem, sample, unseen);
+            }
+            let method = methods.entry(result.name.to_string()).or_default();
+            record.validation = std::mem::take(&mut method.validation);
+            *method = record;
         }
-        for (name, split_80_20) in RIVALS.iter().zip(of_rivals) {
-            let record = MethodRecord {
-                split_80_20,
-                ..MethodRecord::default()
-            };
-            methods.insert((*name).to_owned(), record);
+        for (name, split) in RIVALS.iter().zip(of_rivals) {
+            let method = methods.entry((*name).to_owned()).or_default();
+            method.split_80_20 = split;
         }
-        Ok(methods)
+        Ok(())
     }
 
     /// The description's own parameters, and zero torque.
@@ -84,30 +89,30 @@ impl Study<'_> {
     }
 
     /// Adds the errors on unseen logs to `methods`; returns the torques on the first of them.
+    ///
+    /// On validation logs the linear part of networks competes with them, and takes their place where it is better.
     pub(super) fn validate(
         &mut self,
         (logs, kind): (&[PathBuf], Unseen),
         prepare: &PrepareConfig,
         methods: &mut Methods,
         notes: &mut Vec<String>,
-    ) -> Result<Trace, IdentifyError> {
+    ) -> Result<Vec<TraceRow>, IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
-        // The linear part of networks competes with them, and takes their place where it is better on unseen rows.
-        let has_linear = |result: &MethodResult| result.linear.is_some();
-        let fallback = self.results.iter().position(has_linear);
-        let fallback = fallback.filter(|_| kind == Unseen::Validation);
-        let linear = fallback.and_then(|place| self.results[place].linear.clone());
-        let linear = linear.map(|fit| (Candidate::Linear(fit.theta.clone()), fit));
+        let mut results = self.results.iter().enumerate();
+        let linear = results.find_map(|(place, own)| Some((place, own.linear.clone()?)));
+        let linear = linear.filter(|_| kind == Unseen::Validation);
+        let linear = linear.map(|(place, fit)| (place, Candidate::Linear(fit.theta.clone()), fit));
         let rivals = self.rivals();
-        let results = self.results.iter();
-        let results = results.map(|result| (result.name.to_string(), &result.candidate));
-        let rivals = RIVALS.iter().zip(&rivals);
-        let rivals = rivals.map(|(name, rival)| ((*name).to_owned(), rival));
-        let last = linear.iter();
-        let last = last.map(|(candidate, _)| (LINEAR_PART.to_owned(), candidate));
-        let (names, candidates): (Vec<String>, Vec<&Candidate>) =
-            results.chain(rivals).chain(last).unzip();
-        let mut trace = Vec::new();
+        let candidates = self.results.iter().map(|result| &result.candidate);
+        let candidates = candidates.chain(&rivals);
+        let candidates: Vec<&Candidate> = candidates
+            .chain(linear.iter().map(|(_, candidate, _)| candidate))
+            .collect();
+        let names = self.results.iter().map(|result| result.name.to_string());
+        let names: Vec<String> = names.chain(RIVALS.map(str::to_owned)).collect();
+        let (mut trace, mut of_linear) = (Vec::new(), BTreeMap::new());
+        let mut unseen = Vec::new();
         for path in logs {
             (self.progress)(&format!("validating {}", path.display()));
             let mut scores = FileScores::new(layout, candidates.len());
@@ -115,68 +120,53 @@ impl Study<'_> {
                 scores.add(layout, own, &prepared, &candidates);
             })?;
             let limit = scores.propagated(layout, &self.bound.covariance);
-            for (place, name) in names.iter().enumerate() {
+            let key = key_of(path, self.unseen_logs);
+            for (place, candidate) in candidates.iter().enumerate() {
                 let mut record = scores.record(place, self.problem.seed);
-                if let Some(result) = self.results.get(place) {
-                    let error = self.error(result);
+                let name = names.get(place);
+                if name.is_none_or(|name| !RIVALS.contains(&&**name)) {
+                    let error = self.error(candidate);
                     let error = error.map(|error| &error * error.transpose());
                     record.cramer_rao_nrmse_moving_ratio = Some(limit);
                     record.truth_nrmse_moving_ratio =
                         error.map(|error| scores.propagated(layout, &error));
                 }
-                let method = methods.entry(name.clone()).or_default();
-                method
-                    .unseen(kind)
-                    .insert(key_of(path, self.unseen_logs), record);
+                let records = match name {
+                    Some(name) => methods.entry(name.clone()).or_default().unseen(kind),
+                    None => &mut of_linear,
+                };
+                records.insert(key.clone(), record);
             }
-            if trace.is_empty() && kind == Unseen::Validation {
-                (self.progress)("growing shares of the logs");
-                let sample = &self.dataset.sample.kept;
-                for (name, curve) in learning_curves(&self.problem, sample, &scores.sample) {
-                    if let Some(method) = methods.get_mut(&name.to_string()) {
-                        method.learning_curve = curve;
-                    }
-                }
-                trace = scores.trace;
+            if trace.is_empty() {
+                trace = scores.trace.kept;
             }
-            self.unseen
-                .push((path.display().to_string(), scores.sample));
+            unseen.push((path.display().to_string(), scores.sample.kept));
         }
-        let of_linear = methods.remove(LINEAR_PART).unwrap_or_default().validation;
-        if let (Some(place), Some((candidate, fit))) = (fallback, linear) {
-            let result = &mut self.results[place];
-            let Some(method) = methods.get_mut(&result.name.to_string()) else {
-                return Ok(trace);
-            };
-            let error = |records: &BTreeMap<String, ValidationRecord>| {
-                let errors = records.values().map(|log| log.joints_nrmse_moving_ratio);
-                errors.sum::<f64>()
-            };
+        self.unseen.extend(unseen);
+        if let Some((place, candidate, fit)) = linear {
+            let (result, name) = (&mut self.results[place], &names[place]);
+            let own = methods.entry(name.clone()).or_default();
+            let [networks, linear] = [&own.validation, &of_linear].map(sum_of_errors);
             // A figure that is not a number is worse than any.
-            let better = error(&method.validation) <= error(&of_linear);
-            if !of_linear.is_empty() && !better {
+            let is_better = linear.is_some_and(|linear| !networks.is_some_and(|own| own <= linear));
+            if is_better {
                 notes.push(format!(
-                    "{}: on the validation logs its networks are worse than the linear part, which stands in for them",
-                    result.name
+                    "{name}: on the validation logs its networks are worse than the linear part, which stands in for them"
                 ));
-                method.validation = of_linear;
+                own.validation = of_linear;
                 (result.candidate, result.fit) = (candidate, Some(fit));
+                self.problem.networks = false;
                 for (_, _, predicted) in &mut trace {
-                    if let Some(linear) = predicted.last().copied() {
-                        predicted[place] = linear;
-                    }
+                    predicted.swap_remove(place);
                 }
-            }
-            for (_, _, predicted) in &mut trace {
-                predicted.pop();
             }
         }
         Ok(trace)
     }
 
     /// Parameter error of a linear model; `None` when a true parameter is unknown.
-    fn error(&self, result: &MethodResult) -> Option<DVector<f64>> {
-        let Candidate::Linear(theta) = &result.candidate else {
+    fn error(&self, candidate: &Candidate) -> Option<DVector<f64>> {
+        let Candidate::Linear(theta) = candidate else {
             return None;
         };
         let truth = self.truth.as_ref()?.iter().copied();
@@ -227,7 +217,7 @@ impl Study<'_> {
 
 /// Place of the method for the bank, of those the board can run: the one with the least mean error on the validation logs.
 ///
-/// Without such logs, the stretches of the training logs that were held out decide. Differences within the standard error
+/// Without such logs, or motion in them, the stretches of the training logs that were held out decide. Differences within the standard error
 /// of the least mean error do not count: of these methods the most constrained one is taken, the physically consistent
 /// parameters first [Hastie, Tibshirani, Friedman 2009, §7.10].
 pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize {
@@ -239,11 +229,9 @@ pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize 
             .min_by(|&a, &b| error(a).total_cmp(&error(b)))
             .unwrap_or(0)
     };
-    if places().any(|place| !record(place).validation.is_empty()) {
-        return least(&|place| {
-            let logs = record(place).validation.values();
-            logs.map(|log| log.joints_nrmse_moving_ratio).sum()
-        });
+    let unseen = |place: usize| record(place).validation_error();
+    if places().any(|place| unseen(place).is_some()) {
+        return least(&|place| unseen(place).unwrap_or(f64::INFINITY));
     }
     let mean = |place: usize| record(place).split_80_20.mean().0;
     let best = least(&mean);
@@ -294,16 +282,14 @@ pub(super) fn truths(robot: &Robot, layout: &Layout) -> Vec<Option<f64>> {
 
 /// Error of the base parameters by epoch of the accelerated layer; empty without a truth.
 fn error_curve(
-    data: &TrainingData<'_>,
+    layer: &LinearLayer,
     layout: &Layout,
-    reference: &Fit,
     truth: Option<&[Option<f64>]>,
     seed: u64,
 ) -> Vec<(usize, f64)> {
     let Some(truth) = truth else {
         return Vec::new();
     };
-    let layer = data.layer(layout, reference);
     let mut curve = Vec::new();
     for max_epochs in [1, 2, 5, 10, 20, 30, 50, 75, 100, 150, 200, 300, 500, 1000] {
         let config = PhysicalConfig {
@@ -322,7 +308,113 @@ fn error_curve(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::{Motion, PerJoint, RigidBodies};
+    use crate::identification::ColumnSet;
+    use crate::identification::dataset::random_rows;
     use crate::identification::record::{SplitRecord, ValidationRecord};
+    use std::fmt::Write;
+
+    /// A log of the torques of `model`, 200 rows a second.
+    fn log_of(model: &RigidBodies, path: &Path) {
+        let columns = ["q{}_rad", "qd{}_rad_s", "qdd{}_rad_s2", "tau{}_nm"];
+        let columns = columns.iter().flat_map(|name| {
+            let of_joint = |joint: usize| name.replace("{}", &joint.to_string());
+            (1..=6).map(of_joint)
+        });
+        let names: Vec<String> = columns.collect();
+        let mut text = format!("t_s,{}\n", names.join(","));
+        for k in 0..1500 {
+            let t_s = 0.005 * f64::from(k);
+            let rates = PerJoint::from_fn(6, |joint| 1.5 + 0.3 * joint as f64);
+            let [q, qd, qdd] = [0, 1, 2].map(|order| {
+                let phase = f64::from(order) * std::f64::consts::FRAC_PI_2;
+                rates.map(|rate| rate.powi(order) * (rate * t_s + rate + phase).sin())
+            });
+            let tau = model.inverse_dynamics(&Motion { q, qd, qdd });
+            let values = [&q[..], &qd, &qdd, &tau].concat();
+            write!(text, "{t_s}").expect("a string");
+            values
+                .iter()
+                .for_each(|value| write!(text, ",{value}").expect("a string"));
+            text.push('\n');
+        }
+        std::fs::write(path, text).expect("writes");
+    }
+
+    #[test]
+    fn the_record_of_networks_that_lose_is_that_of_their_linear_part() {
+        let robot = Robot::load("ur5").expect("built in");
+        let layout = Layout::new(&robot, &ColumnSet::plain());
+        let model = RigidBodies::new(&robot);
+        let torque = |row: &SampleRow, j: usize| model.inverse_dynamics(&row.state)[j];
+        let mut dataset = Dataset::new(&layout);
+        let rows = random_rows(&layout, 1500, 1, [2.0, 1.0, 3.0], 1e-3, torque);
+        dataset.sums.add(&layout, &rows.iter().collect::<Vec<_>>());
+        dataset.sample.kept = rows;
+        let data = TrainingData::all(&dataset);
+        let fit = wls(&data.sums.all, &layout).expect("well shown");
+        // In the place of networks: twice the torque.
+        let wrong = Fit {
+            theta: 2.0 * &fit.theta,
+            sigma: fit.sigma.map(|sigma| 9.0 * sigma),
+            ..fit.clone()
+        };
+        let name = MethodName::BpResidual;
+        let candidate = Candidate::Linear(wrong.theta.clone());
+        let result = MethodResult {
+            fit: Some(wrong),
+            linear: Some(fit.clone()),
+            ..MethodResult::plain(name, candidate, 1500)
+        };
+        let mut truth = robot.base_parameters();
+        truth.resize(layout.parameters.len(), 0.0);
+        let here = tempfile::tempdir().expect("creates");
+        let logs = [here.path().join("log.csv")];
+        log_of(&model, &logs[0]);
+        let mut study = Study {
+            problem: Problem {
+                robot: &robot,
+                layout: &layout,
+                board: &layout,
+                methods: &[name],
+                networks: true,
+                seed: 1,
+            },
+            dataset: &dataset,
+            bound: fit.clone(),
+            results: vec![result],
+            truth: Some(truth.into_iter().map(Some).collect()),
+            unseen_logs: &logs,
+            unseen: Vec::new(),
+            progress: &|_| (),
+        };
+        let prepare = PrepareConfig {
+            motion_hz: 40.0,
+            torque_hz: Some(20.0),
+            still_rad_s: PrepareConfig::STILL_RAD_S,
+        };
+        let (mut methods, mut notes) = (Methods::new(), Vec::new());
+        let choosing = (&logs[..], Unseen::Validation);
+        let trace = study.validate(choosing, &prepare, &mut methods, &mut notes);
+        let trace = trace.expect("a log");
+        study.complete(&data, &mut methods).expect("solved");
+        let (_, tau, predicted) = &trace[trace.len() / 2];
+        assert!((predicted[0][1] - tau[1]).abs() < 0.1);
+        assert!(notes.concat().contains("stands in for them"), "{notes:?}");
+        let record = &methods["bp_residual"];
+        assert_eq!(record.noise_nm, fit.sigma.to_vec());
+        let values = record.parameters.iter().map(|parameter| parameter.value);
+        assert_eq!(values.collect::<Vec<_>>(), fit.theta.as_slice());
+        let unseen = &record.validation["log.csv"];
+        let split = record.split_80_20.mean().0;
+        for error in [unseen.joints_nrmse_moving_ratio, Some(split)] {
+            assert!(error.expect("known") < 0.02, "{error:?}");
+        }
+        assert!(unseen.truth_nrmse_moving_ratio.is_some());
+        assert!(unseen.cramer_rao_nrmse_moving_ratio.is_some());
+        assert!(!record.learning_curve.is_empty());
+        assert!(methods["zero"].split_80_20.mean().0 > 0.9);
+    }
 
     /// Method for the bank by the errors on held-out stretches, and on an unseen log.
     fn chosen(errors: &[(MethodName, [f64; 5], Option<f64>)]) -> MethodName {
@@ -335,8 +427,8 @@ mod tests {
                 },
                 ..MethodRecord::default()
             };
-            let unseen = unseen.map(|joints_nrmse_moving_ratio| ValidationRecord {
-                joints_nrmse_moving_ratio,
+            let unseen = unseen.map(|error| ValidationRecord {
+                joints_nrmse_moving_ratio: Some(error).filter(|error| *error > 0.0),
                 ..ValidationRecord::default()
             });
             let logs = unseen.map(|unseen| ("log".to_owned(), unseen));
@@ -376,5 +468,8 @@ mod tests {
             (Evidence, wls, Some(0.4)),
         ];
         assert_eq!(chosen(&unseen), Wls);
+        // One at rest has no error, and decides nothing.
+        let at_rest = all.map(|(name, stretches, _)| (name, stretches, Some(0.0)));
+        assert_eq!(chosen(&at_rest), Evidence);
     }
 }

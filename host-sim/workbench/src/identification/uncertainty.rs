@@ -10,7 +10,7 @@ use super::methods::{Fit, MethodName};
 use super::normal::{NormalEquations, solve};
 use super::problem::{MethodResult, TrainingData};
 use crate::dynamics::PerJoint;
-use crate::metrics::scaled;
+use crate::metrics::{even_sample, scaled};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -61,8 +61,7 @@ pub(super) fn parameter_intervals(
         MethodName::Irls => (true, true, fit.sigma),
         _ => return None,
     };
-    let stride = data.sample.len().div_ceil(ROWS).max(1);
-    let rows: Vec<&SampleRow> = data.sample.iter().copied().step_by(stride).collect();
+    let rows: Vec<&SampleRow> = even_sample(&data.sample, ROWS).copied().collect();
     let length = rows.len().div_ceil(BLOCKS).max(1);
     let blocks: Vec<_> = rows
         .chunks(length)

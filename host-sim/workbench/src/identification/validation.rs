@@ -3,7 +3,7 @@
 
 use super::IdentifyError;
 use super::columns::Layout;
-use super::dataset::SampleRow;
+use super::dataset::{SampleRow, Thinned};
 use super::methods::MethodName;
 use super::normal::NormalEquations;
 use super::prepare::{Preparation, Prepared};
@@ -12,11 +12,11 @@ use super::record::{LearningPoint, SplitRecord, ValidationRecord};
 use super::solve::solve_all;
 use super::uncertainty::{middle, resample};
 use crate::dynamics::PerJoint;
-use crate::metrics::{ErrorSums, nrmse, root_mean, root_mean_square};
+use crate::metrics::{ErrorSums, even_sample, nrmse, root_mean};
 use nalgebra::DMatrix;
 
 /// Time, measured torque, and the torque that every candidate predicts, N·m.
-pub(super) type Trace = Vec<(f64, PerJoint<f64>, Vec<PerJoint<f64>>)>;
+pub(super) type TraceRow = (f64, PerJoint<f64>, Vec<PerJoint<f64>>);
 
 /// Scores of several candidates on one log.
 #[derive(Clone, Debug)]
@@ -29,10 +29,10 @@ pub(super) struct FileScores {
     equations: NormalEquations,
     /// Seconds, and sums over the moving rows of each.
     blocks: Vec<(f64, Vec<PerJoint<ErrorSums>>)>,
-    /// A thinned sample of its rows.
-    pub(super) sample: Vec<SampleRow>,
+    /// A sample of its rows.
+    pub(super) sample: Thinned<SampleRow>,
     /// Torques in some of its rows, for the plot.
-    pub(super) trace: Trace,
+    pub(super) trace: Thinned<TraceRow>,
 }
 
 /// Torques of a candidate in the rows that count, N a row, N·m, through the filter of the measurement.
@@ -61,6 +61,7 @@ fn predictions(
     table
 }
 
+/// Most rows of the sample of an unseen log.
 const SAMPLE: usize = 2000;
 /// Most points of the trace.
 const TRACE: usize = 1500;
@@ -74,8 +75,8 @@ impl FileScores {
             range: PerJoint::repeat(layout.joints(), (f64::INFINITY, f64::NEG_INFINITY)),
             equations: NormalEquations::new(layout),
             blocks: Vec::new(),
-            sample: Vec::new(),
-            trace: Vec::new(),
+            sample: Thinned::new(SAMPLE),
+            trace: Thinned::new(TRACE),
         }
     }
 
@@ -127,12 +128,9 @@ impl FileScores {
         for (sums, (x, tau)) in self.equations.joints.iter_mut().zip(&equations) {
             sums.add(x, tau);
         }
-        let rows = || prepared.core.clone().step_by(stride);
-        for row in rows().take(SAMPLE.saturating_sub(self.sample.len())) {
-            let row = SampleRow::of(layout, preparation, prepared, row);
-            self.sample.push(row);
-        }
-        for row in rows().take(TRACE.saturating_sub(self.trace.len())) {
+        for row in prepared.core.clone().step_by(stride) {
+            self.sample
+                .push(SampleRow::of(layout, preparation, prepared, row));
             let at = |table: &[f64]| PerJoint::from(&table[row * joints..][..joints]);
             let predicted = predicted.iter().map(|table| at(table)).collect();
             self.trace
@@ -147,8 +145,6 @@ impl FileScores {
         let joints =
             |value: &dyn Fn(usize) -> Option<f64>| (0..count).map(value).collect::<Vec<_>>();
         let rmse = |j: usize| moving[j].rmse();
-        let torque = |j: usize| moving[j].torque_rms();
-        let ratios = joints(&|j| Some(rmse(j)? / torque(j)?));
         let draws = resample(self.blocks.len().max(1), seed, |draw| {
             let mut sums = no_sums(count);
             for &place in draw {
@@ -162,13 +158,13 @@ impl FileScores {
             rmse_moving_nm: joints(&rmse),
             rmse_still_nm: joints(&|j| still[j].rmse()),
             rmse_all_nm: joints(&|j| moving[j].with(&still[j]).rmse()),
-            joints_nrmse_moving_ratio: root_mean_square(&ratios),
-            nrmse_moving_ratio: ratios,
+            joints_nrmse_moving_ratio: nrmse(moving),
+            nrmse_moving_ratio: joints(&|j| moving[j].nrmse()),
             rmse_over_range_moving_ratio: joints(&|j| {
                 Some(rmse(j)? / (self.range[j].1 - self.range[j].0))
             }),
-            torque_rms_moving_nm: joints(&torque),
-            joints_nrmse_moving_ratio_ci95: middle(draws.iter().map(|sums| nrmse(sums))),
+            torque_rms_moving_nm: joints(&|j| moving[j].torque_rms()),
+            joints_nrmse_moving_ratio_ci95: middle(draws.iter().filter_map(|sums| nrmse(sums))),
             rmse_moving_nm_ci95: (0..count).map(interval).collect(),
             rows_moving: moving.iter().map(|sums| sums.count as u64).collect(),
             cramer_rao_nrmse_moving_ratio: None,
@@ -204,8 +200,8 @@ const SHARES: [f64; 5] = [0.0625, 0.125, 0.25, 0.5, 1.0];
 /// Errors of every method on each fifth of the log, trained on the other four, and then of `rivals`.
 ///
 /// A fifth is a stretch of time: rows drawn at random lie between training rows, and their errors are hardly larger than
-/// those of the fit. A fifth that alone shows a parameter stays in the training rows; where all do, the errors are those of
-/// `results`, which are trained on every row.
+/// those of the fit. A fifth that alone shows a parameter stays in the training rows, and one in which no joint moves has no
+/// error; where all do, the errors are those of `results`, which are trained on every row.
 pub(super) fn split(
     problem: &Problem<'_>,
     results: &[MethodResult],
@@ -223,10 +219,12 @@ pub(super) fn split(
     let mut held_out = false;
     for stretch in 0..STRETCHES {
         let [from, to] = [stretch, stretch + 1].map(|k| k * sample.len() / STRETCHES);
+        let own = &sample[from..to];
         let rest = sample[..from].iter().chain(&sample[to..]);
         let data = TrainingData::of(layout, rest.collect());
-        if data.sums.all.check_rank(layout).is_ok() {
-            add(&solve_all(problem, &data, &|_| ())?, &sample[from..to]);
+        let moves = own.iter().any(|row| row.moving.contains(&true));
+        if moves && data.sums.all.check_rank(layout).is_ok() {
+            add(&solve_all(problem, &data, &|_| ())?, own);
             held_out = true;
         }
     }
@@ -238,38 +236,33 @@ pub(super) fn split(
     Ok(records.collect())
 }
 
-/// Errors on rows of an unseen log of every method trained on growing shares of the log.
-pub(super) fn learning_curves(
+/// Errors on rows of an unseen log of a method trained on growing shares of the log.
+pub(super) fn learning_curve(
+    name: MethodName,
     problem: &Problem<'_>,
     sample: &[SampleRow],
     unseen: &[SampleRow],
-) -> Vec<(MethodName, Vec<LearningPoint>)> {
-    let stride = sample.len().div_ceil(ROWS).max(1);
-    let rows: Vec<&SampleRow> = sample.iter().step_by(stride).collect();
-    let methods = problem.methods.iter();
-    methods
-        .map(|&name| {
-            let one = Problem {
-                methods: &[name],
-                ..*problem
-            };
-            let points = SHARES.iter().filter_map(|&share_ratio| {
-                let count = (share_ratio * rows.len() as f64) as usize;
-                let data = TrainingData::of(problem.layout, rows[..count].to_vec());
-                // A share that does not show every parameter has no point.
-                data.sums.all.check_rank(problem.layout).ok()?;
-                let result = solve_all(&one, &data, &|_| ()).ok()?.pop()?;
-                let sums = error_sums(problem.layout, &result.candidate, unseen);
-                Some(LearningPoint {
-                    share_ratio,
-                    rows: count,
-                    seconds: result.seconds,
-                    joints_nrmse_moving_ratio: nrmse(&sums),
-                })
-            });
-            (name, points.collect())
+) -> Vec<LearningPoint> {
+    let rows: Vec<&SampleRow> = even_sample(sample, ROWS).collect();
+    let one = Problem {
+        methods: &[name],
+        ..*problem
+    };
+    let points = SHARES.iter().filter_map(|&share_ratio| {
+        let count = (share_ratio * rows.len() as f64) as usize;
+        let data = TrainingData::of(problem.layout, rows[..count].to_vec());
+        // A share that does not show every parameter has no point.
+        data.sums.all.check_rank(problem.layout).ok()?;
+        let result = solve_all(&one, &data, &|_| ()).ok()?.pop()?;
+        let sums = error_sums(problem.layout, &result.candidate, unseen);
+        Some(LearningPoint {
+            share_ratio,
+            rows: count,
+            seconds: result.seconds,
+            joints_nrmse_moving_ratio: nrmse(&sums)?,
         })
-        .collect()
+    });
+    points.collect()
 }
 
 /// Errors of every joint over its moving rows.
@@ -293,6 +286,9 @@ mod tests {
     use super::*;
     use crate::dynamics::RigidBodies;
     use crate::identification::dataset::random_rows;
+    use crate::identification::judge::{change, description};
+    use crate::identification::normal::SpeedSums;
+    use crate::identification::prepare::PrepareConfig;
     use crate::identification::{ColumnSet, fit_rows};
     use crate::robot::Robot;
 
@@ -314,6 +310,7 @@ mod tests {
             layout: &layout,
             board: &layout,
             methods,
+            networks: true,
             seed: 1,
         };
         let zero = Candidate::Linear(nalgebra::DVector::zeros(layout.parameters.len()));
@@ -333,6 +330,59 @@ mod tests {
         assert_eq!((errors.len(), zero.len()), (5, 5));
         assert!((errors[4] - 1.0).abs() < 0.05, "{errors:?}");
         assert!(zero.iter().all(|ratio| (ratio - 1.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_stretch_at_rest_has_no_error() {
+        let [errors, zero] = split_of(&|place, row| {
+            if place < 400 {
+                row.moving = PerJoint::repeat(6, false);
+            }
+        });
+        assert_eq!((errors.len(), zero.len()), (4, 4));
+        assert!(errors.iter().all(|ratio| *ratio > 0.0), "{errors:?}");
+    }
+
+    #[test]
+    fn a_body_picked_up_late_in_an_unseen_log_is_in_its_sample_and_its_trace() {
+        let robot = Robot::load("ur5").expect("built in");
+        let layout = Layout::new(&robot, &ColumnSet::plain());
+        let candidate = Candidate::Linear(description(&robot, &layout));
+        let picked_up_s = 45.0;
+        let rows = random_rows(&layout, 6000, 1, [2.0, 1.0, 3.0], 1.0, |row, joint| {
+            let Candidate::Linear(theta) = &candidate else {
+                return 0.0;
+            };
+            let body = f64::from(joint == 2 && row.t_s >= picked_up_s);
+            row.linear(&layout, theta, joint) + 4.0 * body
+        });
+        let config = PrepareConfig {
+            motion_hz: 40.0,
+            torque_hz: None,
+            still_rad_s: PrepareConfig::STILL_RAD_S,
+        };
+        let preparation = Preparation::new(&config, 0.0, 0.01, [true; 2]);
+        let tau: Vec<f64> = rows.iter().flat_map(|row| row.tau.to_vec()).collect();
+        let prepared = Prepared {
+            states: rows.iter().map(|row| row.state).collect(),
+            panel: rows.iter().flat_map(|row| row.panel.to_vec()).collect(),
+            cogging_basis: vec![[0.0; 2]; tau.len()],
+            clean: tau.clone(),
+            tau,
+            spikes: 0,
+            core: 0..rows.len(),
+            t_s: rows.iter().map(|row| row.t_s).collect(),
+            speeds: SpeedSums::new(6),
+        };
+        let mut scores = FileScores::new(&layout, 1);
+        scores.add(&layout, &preparation, &prepared, &[&candidate]);
+        let sample = &scores.sample.kept;
+        assert!((SAMPLE / 2..=SAMPLE).contains(&sample.len()));
+        let (_, text) = change(&layout, sample, &candidate).expect("a change");
+        assert!(text.contains("joint 3 changes by 4."), "{text}");
+        assert!(text.contains("at 45.0 s"), "{text}");
+        let (last_s, ..) = scores.trace.kept.last().expect("rows");
+        assert!(*last_s > 59.0, "{last_s}");
     }
 
     #[test]

@@ -10,6 +10,7 @@ pub use physical::{Descent, LinearLayer, PhysicalConfig, Trained};
 pub use residual::{SpeedPoint, train_residual};
 
 use crate::dynamics::{Motion, PerJoint};
+use crate::metrics::even_sample;
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -124,8 +125,7 @@ impl BlackBox {
         seed: u64,
         watch: &mut dyn FnMut(usize, f64),
     ) -> Self {
-        let stride = rows.len().div_ceil(ROWS).max(1);
-        let rows: Vec<_> = rows.iter().step_by(stride).collect();
+        let rows: Vec<_> = even_sample(rows, ROWS).collect();
         let inputs: Vec<Vec<f64>> = rows.iter().map(|(state, ..)| raw_inputs(state)).collect();
         let joints = rows.first().map_or(1, |(motion, ..)| motion.q.len());
         let (centre, spread) = (0..3 * joints)

@@ -8,6 +8,7 @@ use crate::identification::methods::Fit;
 use crate::identification::normal::solve;
 use crate::identification::problem::Candidate;
 use crate::identification::record::Report;
+use crate::metrics::even_sample;
 use crate::robot::{Link, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
 
@@ -89,6 +90,7 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
 }
 
 /// Largest change of a joint's torque error from one part of the logs to the rest: a body picked up, a sensor that drifts.
+/// Returns the place of the row behind it, and the finding.
 ///
 /// Two means m_1, m_2 of n_1 and n_2 rows explain the share `(n_1 m_1² + n_2 m_2²) / Σ e²` of the errors e. What a model
 /// lacks scatters over the motion and has means near zero: on the logs of `tests/data` the share stays below 0.1. A line over
@@ -97,16 +99,14 @@ pub(in crate::identification) fn change(
     layout: &Layout,
     rows: &[SampleRow],
     model: &Candidate,
-) -> Option<String> {
+) -> Option<(usize, String)> {
     const SHARE: f64 = 0.35;
     let predicted: Vec<_> = rows.iter().map(|row| model.torque(layout, row)).collect();
     let of_joint = |joint: usize| {
-        let moving = rows
-            .iter()
-            .zip(&predicted)
-            .filter(|(row, _)| row.moving[joint]);
+        let pairs = rows.iter().zip(&predicted).enumerate();
+        let moving = pairs.filter(|(_, (row, _))| row.moving[joint]);
         let errors: Vec<_> = moving
-            .map(|(row, predicted)| (row.t_s, row.tau[joint] - predicted[joint], predicted[joint]))
+            .map(|(place, (row, own))| (place, row.tau[joint] - own[joint], own[joint]))
             .collect();
         let count = errors.len();
         let mut sums = Matrix3::zeros();
@@ -121,12 +121,12 @@ pub(in crate::identification) fn change(
             moment.dot(&(inverse * moment)) / power
         });
         let mut before = 0.0;
-        let splits = errors.iter().enumerate().map(|(place, (t_s, error, _))| {
-            let (one, other) = (place as f64, (count - place) as f64);
+        let splits = errors.iter().enumerate().map(|(seen, (place, error, _))| {
+            let (one, other) = (seen as f64, (count - seen) as f64);
             let [first, second] = [before / one, (sum - before) / other];
             before += error;
             let share = (one * first * first + other * second * second) / power;
-            (share, joint + 1, *t_s, second - first)
+            (share, joint + 1, *place, second - first)
         });
         let inside = splits.skip(count / 20).take(count - count / 10);
         inside
@@ -136,10 +136,12 @@ pub(in crate::identification) fn change(
     let most = (0..layout.joints())
         .filter_map(of_joint)
         .max_by(|a, b| a.0.total_cmp(&b.0));
-    most.map(|(_, joint, t_s, step)| {
-        format!(
-            "torque error of joint {joint} changes by {step:.3} N·m on average at {t_s:.1} s: was a body picked up or put down, or does the sensor drift? Cut the log there"
-        )
+    most.map(|(_, joint, place, step)| {
+        let t_s = rows[place].t_s;
+        let text = format!(
+            "torque error of joint {joint} changes by {step:.3} N·m on average at {t_s:.1} s: was a body picked up or put down, or does the sensor drift? Cut the logs there"
+        );
+        (place, text)
     })
 }
 
@@ -191,7 +193,7 @@ fn with_tilt(robot: &Robot, layout: &Layout, fit: &Fit, rows: &[SampleRow]) -> O
     let across = across(robot);
     let mut gram = DMatrix::zeros(size + 2, size + 2);
     let mut moment = DVector::zeros(size + 2);
-    for row in rows.iter().step_by(rows.len().div_ceil(ROWS).max(1)) {
+    for row in even_sample(rows, ROWS) {
         let turned = across
             .each_ref()
             .map(|(_, model)| model.gravity_torques(&row.state.q));
@@ -449,7 +451,8 @@ mod tests {
             change(&layout, &rows, &Candidate::Linear(theta.clone()))
         };
         assert_eq!(found(0.0), None);
-        let text = found(4.0).expect("a change");
+        let (place, text) = found(4.0).expect("a change");
+        assert!((1195..1205).contains(&place), "{place}");
         assert!(text.contains("joint 3 changes by 4.0"), "{text}");
         assert!(text.contains("at 12.0 s"), "{text}");
         // The gain of a drive, while its torque grows along the log.

@@ -106,11 +106,27 @@ impl Judgement {
         self.findings.iter().any(|finding| finding.refuses)
     }
 
+    /// Warnings of a log of training: all findings that do not refuse, and the parameters that the motion does not show.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        let findings = self.findings.iter().filter(|finding| !finding.refuses);
+        let unseen = (!self.unseen.is_empty())
+            .then(|| format!("the motion does not show {}", listed(&self.unseen)));
+        findings.map(|finding| finding.text.clone()).chain(unseen)
+    }
+
     pub(super) fn find(&mut self, refuses: bool, text: impl Into<String>) {
         let text = text.into();
         self.findings.push(Finding { refuses, text });
         self.findings.sort_by_key(|finding| !finding.refuses);
     }
+}
+
+/// Finding on logs in which no joint moves.
+pub(super) fn at_rest(config: &PrepareConfig) -> String {
+    let still_rad_s = config.still_rad_s;
+    format!(
+        "no joint moves faster than {still_rad_s} rad/s: record a motion, or give a smaller --still-rad-s"
+    )
 }
 
 /// Fall of the logarithm of the power that the best parameters leave, summed over the joints, by a clock of `rate` times the
@@ -214,14 +230,11 @@ pub fn judge(
         )?;
     }
     if sums.count() == 0.0 {
+        judgement.find(true, at_rest(config));
         return Ok(judgement);
     }
     match sums.check_rank(&layout) {
-        Err(IdentifyError::RankDeficient(_, _, names)) => {
-            let text = format!("the motion does not show {}", listed(&names));
-            judgement.find(false, text);
-            judgement.unseen = names;
-        }
+        Err(IdentifyError::RankDeficient(_, _, names)) => judgement.unseen = names,
         Err(other) => return Err(other),
         Ok(()) => {
             judgement.condition_number_equilibrated = Some(sums.condition_numbers(&layout).1);

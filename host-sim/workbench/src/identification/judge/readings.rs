@@ -5,6 +5,7 @@ use super::CENTRE_M;
 use super::explained::{COLUMNS, Explained, explain, links, of_drive, weight};
 use super::ranges::Extremes;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
+use crate::metrics::even_sample;
 use crate::robot::Robot;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -255,8 +256,7 @@ pub(super) fn other_reading(
     extremes: &[Extremes],
     fitted: &dyn Fn(f64) -> f64,
 ) -> Option<String> {
-    let step = rows.len().div_ceil(READING_ROWS).max(1);
-    let rows: Vec<&(Motion, PerJoint<f64>)> = rows.iter().step_by(step).collect();
+    let rows: Vec<&(Motion, PerJoint<f64>)> = even_sample(rows, READING_ROWS).collect();
     let left = |explained: &Explained| explained.rest.clamp(1e-3, 1.0).ln();
     // A torque of another sign or size than gravity's is no sound explanation.
     let size = |explained: &Explained| match explained.heavy {
