@@ -161,7 +161,7 @@ pub struct GainRecord {
     pub std_nm_a: Option<f64>,
     /// Gain of the description, N·m/A.
     pub description_nm_a: Option<f64>,
-    /// Times the arm stood still.
+    /// Poses in which the arm stood still, one after the other.
     pub stands: usize,
 }
 
@@ -244,11 +244,6 @@ impl MethodRecord {
             Unseen::Validation => &mut self.validation,
             Unseen::Test => &mut self.test,
         }
-    }
-
-    /// Sum of the errors on the validation logs; none of logs in which no joint moves.
-    pub(super) fn validation_error(&self) -> Option<f64> {
-        sum_of_errors(&self.validation)
     }
 
     /// The record of a result, without validation logs.

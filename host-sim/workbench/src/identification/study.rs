@@ -105,10 +105,8 @@ impl Study<'_> {
         let linear = linear.map(|(place, fit)| (place, Candidate::Linear(fit.theta.clone()), fit));
         let rivals = self.rivals();
         let candidates = self.results.iter().map(|result| &result.candidate);
-        let candidates = candidates.chain(&rivals);
-        let candidates: Vec<&Candidate> = candidates
-            .chain(linear.iter().map(|(_, candidate, _)| candidate))
-            .collect();
+        let of_linear = linear.iter().map(|(_, candidate, _)| candidate);
+        let candidates: Vec<&Candidate> = candidates.chain(&rivals).chain(of_linear).collect();
         let names = self.results.iter().map(|result| result.name.to_string());
         let names: Vec<String> = names.chain(RIVALS.map(str::to_owned)).collect();
         let (mut trace, mut of_linear) = (Vec::new(), BTreeMap::new());
@@ -229,7 +227,7 @@ pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize 
             .min_by(|&a, &b| error(a).total_cmp(&error(b)))
             .unwrap_or(0)
     };
-    let unseen = |place: usize| record(place).validation_error();
+    let unseen = |place: usize| sum_of_errors(&record(place).validation);
     if places().any(|place| unseen(place).is_some()) {
         return least(&|place| unseen(place).unwrap_or(f64::INFINITY));
     }
