@@ -5,10 +5,12 @@
 
 use super::{TableError, bag_files, extension};
 use crate::files::at;
-use mcap::Message;
-use mcap::read::{MessageStream, Options};
+use mcap::io::MessageReader;
+use mcap::sans_io::LinearReaderOptions;
+use mcap::{McapError, Message};
 use rusqlite::{Connection, OpenFlags};
-use std::fs;
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -18,6 +20,8 @@ const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
 const MEASURED: &str = "foretorque.measured";
 /// Messages looked at to find the joints: a gripper may publish on the same topic.
 const LOOK_AHEAD: usize = 64;
+/// Bytes of a record that a file shorter than it may hold compressed; a longer one is a damaged length.
+const LONG_RECORD: usize = 1 << 26;
 /// Messages read ahead.
 const QUEUE: usize = 1024;
 
@@ -60,11 +64,9 @@ impl Iterator for Messages {
                 },
             };
             self.count += 1;
-            // Other joints on the same topic: the messages of a gripper.
-            if state.names.len() < self.names.len() {
-                continue;
+            if is_of(&self.names, &state) {
+                return Some(self.row(&state));
             }
-            return Some(self.row(&state));
         }
     }
 }
@@ -86,12 +88,26 @@ impl Messages {
     }
 }
 
+/// The message has the joints of `names`; others on the same topic are those of a gripper or a hand.
+fn is_of(names: &[String], state: &JointState) -> bool {
+    let is_there = |name: &String| state.names.contains(name);
+    state.names.len() >= names.len() && (names.is_empty() || names.iter().any(is_there))
+}
+
 /// Choice of one topic with joint states among several.
 pub(crate) struct Topics<'a> {
     /// The topic that was named.
     pub(crate) named: Option<&'a str>,
     /// Likeness of the joints of a message to those of the arm; 0 is none.
     pub(crate) likeness: &'a dyn Fn(&[String]) -> usize,
+}
+
+impl Topics<'_> {
+    /// The only topic there is.
+    pub(super) const ANY: Self = Self {
+        named: None,
+        likeness: &|_| 0,
+    };
 }
 
 /// Opens a bag, a file or its directory; `None` for a file of another kind. Returns header, rows and notes.
@@ -101,7 +117,8 @@ pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, Tabl
     let Some(files) = bag_files(path)? else {
         return Ok(None);
     };
-    let (topic, Begun { seen, most, rest }) = chosen(path, &files, topics)?;
+    let mut notes = Vec::new();
+    let (topic, Begun { seen, most, rest }) = chosen(path, &files, topics, &mut notes)?;
     let JointState { names, values, .. } = &seen[most];
     let (names, plain) = (names.clone(), seen[most].plain);
     let kinds = [0, 1, 2].map(|kind| values[kind].len() == names.len() && !names.is_empty());
@@ -110,8 +127,8 @@ pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, Tabl
         let problem = format!("the field {field} is empty in {topic}");
         return Err(refused(path, problem));
     }
-    let own = seen.iter().filter(|state| state.names.len() == names.len());
-    let start_ns = own.map(|state| state.stamp_ns).next().unwrap_or(0);
+    let first = seen.iter().find(|state| is_of(&names, state));
+    let start_ns = first.map_or(0, |state| state.stamp_ns);
     let mut header = vec!["t_s".to_owned()];
     for name in &names {
         if plain {
@@ -122,9 +139,10 @@ pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, Tabl
         let quantities = quantities.filter(|(_, kind)| *kind);
         header.extend(quantities.map(|(quantity, _)| format!("{name}/{quantity}")));
     }
-    let (name, time) = (path.display(), "time by the stamps of their headers");
-    let note = format!("{name}: joint states of {topic} by name, {time}");
-    let notes = if plain { Vec::new() } else { vec![note] };
+    if !plain {
+        let (name, time) = (path.display(), "time by the stamps of their headers");
+        notes.push(format!("{name}: joint states of {topic} by name, {time}"));
+    }
     let messages = Messages {
         seen: seen.into_iter(),
         rest,
@@ -145,13 +163,17 @@ fn refused(path: &Path, problem: impl Into<String>) -> TableError {
 struct Begun {
     /// The first ones.
     seen: Vec<JointState>,
-    /// Place in `seen` of the one with most joints.
+    /// Place in `seen` of the one with the joints of the arm, else of the one with most joints.
     most: usize,
     rest: Receiver<Item>,
 }
 
 /// Begins to read a topic; `None` where it has no message.
-fn begin(files: &[PathBuf], topic: &str) -> Result<Option<Begun>, TableError> {
+fn begin(
+    files: &[PathBuf],
+    topic: &str,
+    likeness: &dyn Fn(&[String]) -> usize,
+) -> Result<Option<Begun>, TableError> {
     let (sender, rest) = sync_channel(QUEUE);
     let (files, topic) = (files.to_owned(), topic.to_owned());
     std::thread::spawn(move || {
@@ -162,9 +184,9 @@ fn begin(files: &[PathBuf], topic: &str) -> Result<Option<Begun>, TableError> {
         };
         let mut read = files.iter().map(|file| match extension(file) {
             Some("db3") => read_sqlite(file, &topic, &mut to),
-            _ => read_mcap(file, |message| match message.channel.topic == topic {
-                true => to.send(file, &message.data, message.log_time as i64),
-                false => Ok(true),
+            _ => read_mcap(file, &mut Vec::new(), |message| {
+                let own = message.channel.topic == topic;
+                Ok(!own || to.send(file, &message.data, message.log_time as i64)?)
             }),
         });
         if let Some(Err(error)) = read.find(|more| !matches!(more, Ok(true))) {
@@ -179,7 +201,8 @@ fn begin(files: &[PathBuf], topic: &str) -> Result<Option<Begun>, TableError> {
     {
         seen.push(state?);
     }
-    let most = (0..seen.len()).max_by_key(|&place| seen[place].names.len());
+    let rank = |names: &[String]| (likeness(names), names.len());
+    let most = (0..seen.len()).max_by_key(|&place| rank(&seen[place].names));
     Ok(most.map(|most| Begun { seen, most, rest }))
 }
 
@@ -188,12 +211,13 @@ fn chosen(
     path: &Path,
     files: &[PathBuf],
     topics: &Topics<'_>,
+    notes: &mut Vec<String>,
 ) -> Result<(String, Begun), TableError> {
     let mut there: Vec<(String, String)> = Vec::new();
     for file in files {
         there.extend(match extension(file) {
             Some("db3") => sqlite_topics(file)?,
-            _ => mcap_topics(file)?,
+            _ => mcap_topics(file, notes)?,
         });
     }
     there.sort();
@@ -216,7 +240,7 @@ fn chosen(
         let mut alike = Vec::new();
         let mut joints = Vec::new();
         for &topic in &own {
-            if let Some(Begun { seen, most, .. }) = begin(files, topic)? {
+            if let Some(Begun { seen, most, .. }) = begin(files, topic, topics.likeness)? {
                 let names = &seen[most].names;
                 alike.push(((topics.likeness)(names), topic));
                 joints.push(format!("{topic} ({})", names.join(", ")));
@@ -243,7 +267,8 @@ fn chosen(
             }
         };
     }
-    let begun = begin(files, topic)?.ok_or_else(|| TableError::empty(path))?;
+    let begun = begin(files, topic, topics.likeness)?;
+    let begun = begun.ok_or_else(|| TableError::empty(path))?;
     Ok((topic.to_owned(), begun))
 }
 
@@ -313,29 +338,45 @@ fn read_sqlite(path: &Path, topic: &str, to: &mut Sink) -> Result<bool, TableErr
     Ok(true)
 }
 
-/// Gives the messages of a file to `take` until that is false, or to the last whole chunk of a file that was cut; false as `take`.
+/// Gives the messages of a file to `take` until that is false, or to the last whole chunk of a file that was cut, which is
+/// noted; false as `take`.
+///
+/// Errors: those of `take`, a damaged file.
 fn read_mcap(
     path: &Path,
+    notes: &mut Vec<String>,
     mut take: impl FnMut(&Message<'_>) -> Result<bool, TableError>,
 ) -> Result<bool, TableError> {
-    let bytes = fs::read(path).map_err(|error| at(path, error))?;
-    let wrong = |error| refused(path, format!("no MCAP: {error}"));
-    let messages = MessageStream::new_with_options(&bytes, Options::IgnoreEndMagic.into());
-    for (place, message) in messages.map_err(wrong)?.enumerate() {
+    let file = File::open(path).map_err(|error| at(path, error))?;
+    let length = file.metadata().map_err(|error| at(path, error))?.len();
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        .with_validate_chunk_crcs(true)
+        .with_record_length_limit((length as usize).max(LONG_RECORD));
+    let messages = MessageReader::new_with_options(BufReader::new(file), options);
+    for (place, message) in messages.enumerate() {
         match message {
             Ok(message) if !take(&message)? => return Ok(false),
-            Err(error) if place == 0 => return Err(wrong(error)),
-            Err(_) => break,
             Ok(_) => {}
+            Err(error @ McapError::UnexpectedEof) if place > 0 => {
+                let (name, read) = (path.display(), "what is before its end was read");
+                notes.push(format!("{name}: {error}: {read}"));
+                break;
+            }
+            Err(error) if place == 0 => return Err(refused(path, format!("no MCAP: {error}"))),
+            Err(error) => {
+                let way = "record it anew, or mend it by `mcap recover`";
+                return Err(refused(path, format!("damaged: {error}: {way}")));
+            }
         }
     }
     Ok(true)
 }
 
 /// Names and types of the topics.
-fn mcap_topics(path: &Path) -> Result<Vec<(String, String)>, TableError> {
+fn mcap_topics(path: &Path, notes: &mut Vec<String>) -> Result<Vec<(String, String)>, TableError> {
     let mut topics: Vec<(String, String)> = Vec::new();
-    read_mcap(path, |Message { channel, .. }| {
+    read_mcap(path, notes, |Message { channel, .. }| {
         if !topics.iter().any(|(name, _)| *name == channel.topic) {
             let kind = channel.schema.as_ref().map_or("?", |schema| &schema.name);
             topics.push((channel.topic.clone(), kind.to_owned()));
@@ -345,10 +386,14 @@ fn mcap_topics(path: &Path) -> Result<Vec<(String, String)>, TableError> {
     Ok(topics)
 }
 
-/// Columns of a JSON object of numbers.
+/// Columns of a JSON object of numbers, NaN for null.
 fn columns(data: &[u8]) -> Option<JointState> {
-    let fields: std::collections::BTreeMap<String, f64> = serde_json::from_slice(data).ok()?;
-    let (names, values) = fields.into_iter().unzip();
+    let fields: std::collections::BTreeMap<String, Option<f64>> =
+        serde_json::from_slice(data).ok()?;
+    let fields = fields.into_iter();
+    let (names, values) = fields
+        .map(|(name, value)| (name, value.unwrap_or(f64::NAN)))
+        .unzip();
     Some(JointState {
         stamp_ns: 0,
         plain: true,

@@ -123,11 +123,7 @@ const SEPARATORS: [u8; 4] = *b";\t, ";
 
 impl Rows {
     pub(crate) fn open(path: &Path) -> Result<Self, TableError> {
-        let topics = Topics {
-            named: None,
-            likeness: &|_| 0,
-        };
-        Self::named(path, &[], &topics)
+        Self::named(path, &[], &Topics::ANY)
     }
 
     /// Opens a table; a CSV file without a header row takes `names` as its header, a bag is read by one of its `topics`.

@@ -1,6 +1,6 @@
 //! Writing a table: CSV, and MCAP with the columns of each topic as one JSON message a row, at the time of the row.
 //!
-//! Numbers in an MCAP are those of the CSV, digit by digit. Chunks are small, so that a file that was cut reads almost to its end.
+//! Numbers in an MCAP are those of the CSV, digit by digit; its times count from a first row before zero, as it has no negative ones. Chunks are small, so that a file that was cut reads almost to its end.
 
 use super::is_compressed;
 use crate::files::WholeFile;
@@ -148,6 +148,8 @@ struct McapTable {
     /// Channel, its columns with their names as JSON keys.
     channels: Vec<(u16, Vec<(usize, String)>)>,
     time: Option<usize>,
+    /// Time of the first row where that is negative, else 0, s.
+    origin_s: f64,
     rows: u32,
 }
 
@@ -190,6 +192,7 @@ impl McapTable {
             writer,
             channels,
             time: header.iter().position(|name| name == "t_s"),
+            origin_s: 0.0,
             rows: 0,
         })
     }
@@ -198,7 +201,10 @@ impl McapTable {
     fn row(&mut self, values: &[String]) -> io::Result<()> {
         let t_s = self.time.and_then(|place| values.get(place)?.parse().ok());
         let t_s: f64 = t_s.unwrap_or(f64::from(self.rows));
-        let log_time = (t_s * 1e9).round() as u64;
+        if self.rows == 0 {
+            self.origin_s = t_s.min(0.0);
+        }
+        let log_time = ((t_s - self.origin_s) * 1e9).round() as u64;
         for (channel, columns) in &self.channels {
             let pairs = columns.iter().filter_map(|(place, name)| {
                 let value = values.get(*place)?;
