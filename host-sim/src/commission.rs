@@ -17,8 +17,8 @@ use foretorque_workbench::bus::{
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::WholeFile;
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
+use foretorque_workbench::report::put_json;
 use foretorque_workbench::robot::{Perturbation, Robot};
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Check the profile of an arm on its bus step by step, below a tenth of its torque, then drive and identify it
@@ -244,8 +244,7 @@ impl Arguments {
             }
             show!("{name:?}: passed")?;
         }
-        serde_json::to_writer_pretty(&mut place, arm.found.as_slice())?;
-        place.write_all(b"\n")?;
+        put_json(&mut place, arm.found.as_slice())?;
         place.finish()?;
         Ok(outcome?)
     }

@@ -4,9 +4,9 @@ use super::{Failure, finite, not_over, positive, text_of, unusable, within};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, MOST_PERIOD_S, SearchConfig};
 use foretorque_workbench::files::{WholeFile, write_whole};
+use foretorque_workbench::report::put_json;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{TableWriter, state_columns};
-use std::io::Write;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -141,8 +141,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     })?;
     drop(bar);
     write(&excitation, &arguments.out)?;
-    serde_json::to_writer_pretty(&mut json, &excitation)?;
-    json.write_all(b"\n")?;
+    put_json(&mut json, &excitation)?;
     json.finish()?;
     if let Some(certificate) = &excitation.certificate {
         for (joint, share) in robot.joints.iter().zip(&certificate.speed_share) {

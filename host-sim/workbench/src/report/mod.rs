@@ -9,8 +9,7 @@ use crate::files::{WholeFile, write_whole};
 use page::Page;
 use plotters::style::RGBColor;
 use serde::Serialize;
-use std::io;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 /// A report under construction. Dropped before [`finish`](Self::finish) it leaves nothing behind.
@@ -34,8 +33,7 @@ impl ReportFiles {
     ///
     /// Errors: the file system's, figures that JSON cannot hold, the plot library's.
     pub fn finish(mut self, report: &impl Serialize, page: &Page) -> io::Result<PathBuf> {
-        serde_json::to_writer_pretty(&mut self.json, report)?;
-        self.json.write_all(b"\n")?;
+        put_json(&mut self.json, report)?;
         write_whole(&self.page, page.html()?.as_bytes())?;
         self.json.finish()?;
         Ok(self.page)
@@ -46,8 +44,17 @@ impl ReportFiles {
 ///
 /// Errors: the file's.
 pub fn write_json(path: &Path, figures: &impl Serialize) -> io::Result<()> {
-    let text = serde_json::to_string_pretty(figures)? + "\n";
-    write_whole(path, text.as_bytes())
+    let mut file = WholeFile::create(path)?;
+    put_json(&mut file, figures)?;
+    file.finish()
+}
+
+/// Puts figures into a file as JSON.
+///
+/// Errors: the file's, figures that JSON cannot hold.
+pub fn put_json(mut file: impl Write, figures: &(impl Serialize + ?Sized)) -> io::Result<()> {
+    serde_json::to_writer_pretty(&mut file, figures)?;
+    file.write_all(b"\n")
 }
 
 /// Text made safe for HTML and SVG.

@@ -229,12 +229,21 @@ fn line_width(curve: &Curve) -> u32 {
 
 /// Curves of a panel for hover and zoom, as JSON: colour, width, x and y.
 fn data(panel: &Panel) -> String {
-    // Five digits are finer than a screen; JSON has null for what is not finite.
-    let rounded = |value: f64| format!("{value:.5e}").parse::<f64>().unwrap_or(f64::NAN);
+    // Five digits of the span are finer than a screen; JSON has null for what is not finite.
+    let digits = |(low, high): (f64, f64)| {
+        let spans = low.abs().max(high.abs()) / (high - low);
+        (5.0 + spans.log10().ceil().max(0.0)) as usize
+    };
+    let rounded = |value: f64, digits: usize| {
+        let text = format!("{value:.digits$e}");
+        text.parse::<f64>().unwrap_or(f64::NAN)
+    };
+    let (x, y) = ranges(panel);
+    let (x_digits, y_digits) = (digits(x), digits(y));
     let curves = panel.curves.iter().map(|curve| {
         let (x, y): (Vec<f64>, Vec<f64>) = thinned(&curve.points, FINE_BUCKETS)
             .into_iter()
-            .map(|(x, y)| (rounded(x), rounded(y)))
+            .map(|(x, y)| (rounded(x, x_digits), rounded(y, y_digits)))
             .unzip();
         json!({"c": curve.color.variable(), "w": line_width(curve), "x": x, "y": y})
     });
@@ -321,6 +330,20 @@ mod tests {
         let points = [(0.0, 1.0), (1.0, 2.0)];
         let curve = Curve::new(color, &points, |point| *point);
         Panel::new(title, "t / s", "tau / N·m", vec![curve])
+    }
+
+    #[test]
+    fn large_times_keep_their_differences() {
+        let points: Vec<(f64, f64)> = (0..400)
+            .map(|k| (1.7e9 + 0.1 * f64::from(k), 0.0))
+            .collect();
+        let curve = Curve::new(PlotColor::Truth, &points, |point| *point);
+        let kept = data(&Panel::new("a", "t / s", "q / rad", vec![curve]));
+        let curves: Vec<serde_json::Value> = serde_json::from_str(&kept).expect("JSON");
+        let x = curves[0]["x"].as_array().expect("x");
+        for (x, (kept, _)) in x.iter().zip(points) {
+            assert!((x.as_f64().expect("a number") - kept).abs() < 1e-3);
+        }
     }
 
     #[test]
