@@ -24,7 +24,7 @@ mod torque;
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use foretorque_workbench::Refusal;
-use foretorque_workbench::files::at;
+use foretorque_workbench::files::{at, read_text};
 use foretorque_workbench::identification::{Finding, Judgement, joined};
 use foretorque_workbench::snapshot;
 use foretorque_workbench::trajectory::MOST_DURATION_S;
@@ -107,7 +107,7 @@ fn unsupported(joints: usize) -> Failure {
 }
 
 fn text_of(path: &Path) -> Result<String, Failure> {
-    Ok(fs::read_to_string(path).map_err(|error| at(path, error))?)
+    Ok(read_text(path).map_err(|error| at(path, error))?)
 }
 
 /// Refuses to write a file of `out` over one that is read.

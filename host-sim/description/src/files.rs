@@ -1,7 +1,7 @@
 //! Files that are whole or absent: written beside their final name, renamed when complete.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -217,6 +217,21 @@ pub fn write_whole(target: &Path, contents: &[u8]) -> io::Result<()> {
     file.finish()
 }
 
+/// Bytes of a text file from which it is refused: that of an arm or of settings has a few thousand.
+const TOO_LONG: u64 = 64 << 20;
+
+/// Text of a file of a description or of settings.
+///
+/// Errors: the file system's, without the path; a file of 64 MB and more, or a device without an end.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let text = io::read_to_string(File::open(path)?.take(TOO_LONG))?;
+    if text.len() as u64 == TOO_LONG {
+        let problem = "64 MB or more, far beyond any description or settings: name another file";
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, problem));
+    }
+    Ok(text)
+}
+
 /// Adds the path to a file-system error.
 pub fn at(path: &Path, error: io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("{}: {error}", path.display()))
@@ -290,6 +305,25 @@ mod tests {
         assert!(error.contains("full: No space left"), "{error}");
         remove_stale(&directory, &["file", "nothing"]).expect("removes");
         assert!(!file.exists());
+        fs::remove_dir_all(&directory).expect("cleans up");
+    }
+
+    #[test]
+    fn a_text_without_an_end_is_refused() {
+        let directory = directory("endless");
+        fs::create_dir_all(&directory).expect("creates");
+        let large = directory.join("large.toml");
+        let file = File::create(&large).expect("creates");
+        file.set_len(TOO_LONG).expect("it is sparse");
+        for path in [&large, Path::new("/dev/zero")] {
+            let name = path.display().to_string();
+            let error = crate::robot::Robot::load(&name).expect_err("no description");
+            let error = error.to_string();
+            assert!(error.contains("as a file: 64 MB or more"), "{error}");
+            assert!(error.contains(&name), "{error}");
+        }
+        file.set_len(20).expect("it is shorter");
+        assert_eq!(read_text(&large).expect("reads").len(), 20);
         fs::remove_dir_all(&directory).expect("cleans up");
     }
 

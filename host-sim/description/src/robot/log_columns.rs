@@ -1,6 +1,7 @@
 //! Names and units of the columns of foreign logs.
 
 use crate::Refusal;
+use crate::files::read_text;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 
@@ -222,7 +223,7 @@ impl LogColumns {
     ///
     /// Errors: a line that names the file and its line.
     pub fn load(path: &str) -> Result<Self, Refusal> {
-        let text = std::fs::read_to_string(path).map_err(|error| {
+        let text = read_text(path.as_ref()).map_err(|error| {
             let known = LOG_SOURCES.join(", ");
             Refusal::of(path, format!("not one of {known}, and as a file: {error}"))
         })?;

@@ -5,6 +5,7 @@ use super::file::{
 };
 use super::{Drive, Friction, Joint, Limits, Link, Placement, Robot};
 use crate::Refusal;
+use crate::files::read_text;
 use crate::urdf::{self, Import, Selection};
 use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -43,9 +44,7 @@ impl Robot {
     pub fn files(path: &Path) -> Vec<PathBuf> {
         let mut files = vec![path.to_owned()];
         while files.len() <= CHAIN {
-            let text = files
-                .last()
-                .and_then(|path| std::fs::read_to_string(path).ok());
+            let text = files.last().and_then(|path| read_text(path).ok());
             let table = text.and_then(|text| text.parse::<Table>().ok());
             let from = table.as_ref().and_then(|table| table.get(FROM)?.as_str());
             let next = from
@@ -327,7 +326,7 @@ impl Robot {
         if let Some((name, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
             return Self::parse_selected(name, text, selection);
         }
-        let text = std::fs::read_to_string(Path::new(name_or_path)).map_err(|error| {
+        let text = read_text(Path::new(name_or_path)).map_err(|error| {
             let known = Self::built_in().collect::<Vec<_>>().join(", ");
             Refusal(format!(
                 "unknown robot '{name_or_path}': not one of [{known}], and as a file: {error}"

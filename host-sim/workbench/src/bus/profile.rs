@@ -1,12 +1,11 @@
 //! Profile of an arm: its drives, buses and rate, from a TOML file; and the time of a frame on its bus.
 
 use super::BusError;
-use crate::files::toml_complaint;
+use crate::files::{read_text, toml_complaint};
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusConfig, BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Carry, DriveProfile, Frame, Frames, JointCommand, JointReply};
 use serde::Deserialize;
-use std::fs;
 use std::path::Path;
 
 /// Rates at which the loop may run, Hz.
@@ -62,7 +61,7 @@ impl Profile {
     /// Errors: the file's, with the place; values that contradict each other.
     pub fn load(path: &Path) -> Result<Self, BusError> {
         let file = path.display().to_string();
-        let text = fs::read_to_string(path).map_err(|error| refused(&file, error.to_string()))?;
+        let text = read_text(path).map_err(|error| refused(&file, error.to_string()))?;
         let mut profile = Self::parse(&file, &text)?;
         let beside = path.with_file_name(&profile.robot);
         if beside.is_file() {

@@ -3,7 +3,7 @@
 use super::Measurement;
 use crate::Refusal;
 use crate::dynamics::Joints;
-use crate::files::at;
+use crate::files::{at, read_text};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -57,8 +57,7 @@ impl PlantEffects {
     ///
     /// Errors: one line that names the file.
     pub fn load(path: &Path) -> Result<Self, Refusal> {
-        let text = std::fs::read_to_string(path);
-        let text = text.map_err(|error| Refusal(at(path, error).to_string()))?;
+        let text = read_text(path).map_err(|error| Refusal(at(path, error).to_string()))?;
         let file = path.display().to_string();
         let effects = toml::from_str::<Self>(&text);
         let effects = effects.map_err(|error| Refusal::toml(&file, &text, &error))?;

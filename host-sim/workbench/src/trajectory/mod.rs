@@ -6,7 +6,7 @@ pub mod via;
 use crate::Refusal;
 use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
-use crate::files::at;
+use crate::files::{at, read_text};
 use crate::robot::Robot;
 use crate::table::{StateReader, StateRow, TimeColumn};
 use std::fmt::Display;
@@ -222,7 +222,7 @@ impl<const N: usize> Trajectory<N> {
 }
 
 fn read(path: &Path) -> Result<String, Refusal> {
-    std::fs::read_to_string(path).map_err(|error| Refusal(at(path, error).to_string()))
+    read_text(path).map_err(|error| Refusal(at(path, error).to_string()))
 }
 
 fn in_file<E: Display>(name: &str) -> impl Fn(E) -> Refusal {
