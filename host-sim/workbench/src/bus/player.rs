@@ -1,7 +1,8 @@
 //! The loop with its network, its learner and its clock.
 
 use super::{BusError, Network};
-use crate::dynamics::{Joints, State};
+use crate::dynamics::Joints;
+use crate::trajectory::via::ViaPath;
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::Learner;
@@ -166,13 +167,12 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
     /// Errors: as [`check`](Self::check).
     pub fn approach(&mut self, target: &Joints<N>) -> Result<(), BusError> {
         let start: Joints<N> = self.positions().cast();
-        let distance = target - start;
-        let duration_s = (1.875 * distance.amax() / APPROACH_RAD_S).max(0.5);
+        let duration_s = (1.875 * (target - start).amax() / APPROACH_RAD_S).max(0.5);
+        let path = ViaPath::through(&[start, *target], duration_s);
         let ticks = ((duration_s + 0.5) / self.period_s()) as usize;
         for tick in 0..ticks {
             let t_s = (tick as f64 + 0.5) * self.period_s();
-            let motion = quintic(&start, &distance, t_s, duration_s);
-            self.tick(Some(&crate::closed_loop::motion_f32(&motion)))?;
+            self.tick(Some(&crate::closed_loop::motion_f32(&path.at(t_s))))?;
             self.check()?;
         }
         Ok(())
@@ -221,23 +221,5 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             ..JointMotion::zero()
         });
         self.tick(here.as_ref()).map(drop)
-    }
-}
-
-/// Motion over `distance` from rest to rest; at rest behind its end.
-fn quintic<const N: usize>(
-    start: &Joints<N>,
-    distance: &Joints<N>,
-    t_s: f64,
-    duration_s: f64,
-) -> State<N> {
-    let x = (t_s / duration_s).min(1.0);
-    let place = x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
-    let speed = 30.0 * x * x * (1.0 - x).powi(2) / duration_s;
-    let acceleration = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (duration_s * duration_s);
-    State {
-        q: start + distance * place,
-        qd: distance * speed,
-        qdd: distance * acceleration,
     }
 }
