@@ -27,7 +27,7 @@ pub(super) enum Clock {
 
 /// Mean period of the steps, s, from their median: steps that scatter about two lengths have their median at the edge of the
 /// shorter.
-fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
+pub(super) fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
     let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * median_s);
     let (time_s, periods) = short.fold((0.0, 0.0), |(time_s, periods), step_s| {
         (
@@ -199,6 +199,28 @@ mod tests {
             assert!(grid(&uneven), "rows at their stamps, {error:?}");
             assert!(!grid(&even), "even rows with uneven stamps, {error:?}");
         }
+    }
+
+    #[test]
+    fn an_arm_that_rests_for_long_first_has_the_clock_of_its_motion() {
+        const REST: usize = 5000;
+        let even: Vec<f64> = (0..400 + REST).map(|k| 1e-3 * k as f64).collect();
+        let jitter = |(k, t): (usize, &f64)| t + [0.0, 2e-4, -2e-4][k * 7 % 5 % 3];
+        let stamps: Vec<f64> = even.iter().enumerate().map(jitter).collect();
+        let moving = |times: &[f64], every: usize| -> Vec<f64> {
+            let rows = (0..times.len()).map(|k| k.max(REST));
+            rows.map(|k| times[REST + (k - REST) / every * every] - times[REST])
+                .collect()
+        };
+        let note = |times: &[f64], stamps: &[f64], wanted: &str| {
+            let (_, log) = written(times, stamps, None);
+            assert!(log.resolution[0] > 0.0);
+            log.notes.iter().any(|note| note.contains(wanted))
+        };
+        assert!(note(&moving(&stamps, 1), &stamps, "put on a grid"));
+        assert!(!note(&moving(&even, 1), &stamps, "put on a grid"));
+        assert!(note(&moving(&even, 4), &even, "positions repeat in 4 rows"));
+        assert!(!note(&moving(&even, 1), &even, "positions repeat"));
     }
 
     #[test]

@@ -7,21 +7,21 @@ use std::f64::consts::{PI, TAU};
 /// Two second-order sections by the bilinear transform [Oppenheim and Schafer 2010, section 7.2]. Attenuation at the
 /// cut-off is −6 dB, because of the two directions.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Butterworth {
+pub(super) struct Butterworth {
     /// b0, b1, b2, a1, a2 of each section; every section has gain 1 at rest.
     sections: [[f64; 5]; 2],
     /// Rows after which the impulse response has decayed below 1e-9 of its peak.
-    pub settling_rows: usize,
+    pub(super) settling_rows: usize,
     /// Cut-off frequency, Hz.
-    pub cutoff_hz: f64,
+    pub(super) cutoff_hz: f64,
 }
 
 impl Butterworth {
     /// Cut-offs are below this share of the rate of the rows.
-    pub const RATE_SHARE: f64 = 0.45;
+    pub(super) const RATE_SHARE: f64 = 0.45;
 
     /// A low pass at `cutoff_hz` for rows `period_s` apart; `None` unless the cut-off is below 0.45 / period.
-    pub fn new(cutoff_hz: f64, period_s: f64) -> Option<Self> {
+    pub(super) fn new(cutoff_hz: f64, period_s: f64) -> Option<Self> {
         if !(cutoff_hz > 0.0 && cutoff_hz * period_s < Self::RATE_SHARE) {
             return None;
         }
@@ -52,7 +52,7 @@ impl Butterworth {
     ///
     /// The table is continued at both ends by its point reflection, so that constants and ramps are unchanged.
     /// Cost: 20 multiply-adds an entry.
-    pub fn smooth(&self, table: &mut [f64], width: usize) {
+    pub(super) fn smooth(&self, table: &mut [f64], width: usize) {
         let rows = table.len() / width.max(1);
         if rows < 2 {
             return;

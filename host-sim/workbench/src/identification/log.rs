@@ -82,7 +82,10 @@ pub(super) struct Columns {
 struct Unwrap {
     /// The joint turns through its whole circle.
     continuous: PerJoint<bool>,
-    last: Option<PerJoint<f64>>,
+    /// Velocity limits, rad/s.
+    fastest: PerJoint<f64>,
+    /// Time, s, and angles of the row before.
+    last: Option<(f64, PerJoint<f64>)>,
     offset: PerJoint<f64>,
     count: PerJoint<usize>,
 }
@@ -247,6 +250,10 @@ impl LogReader {
                 rows.header[q.places[0]]
             ));
         }
+        if effort == EffortKind::Current {
+            let name = path.display();
+            notes.push(format!("{name}: torque is drive gain × motor current"));
+        }
         Ok(Self {
             time,
             count: 0,
@@ -263,6 +270,7 @@ impl LogReader {
                     let (low, high) = robot.joints[joint].limits.position;
                     high - low >= TURN_RAD
                 }),
+                fastest: PerJoint::from_fn(joints, |joint| robot.joints[joint].limits.velocity),
                 last: None,
                 offset: PerJoint::repeat(joints, 0.0),
                 count: PerJoint::repeat(joints, 0),
@@ -274,6 +282,15 @@ impl LogReader {
 
     pub(super) fn has_velocity(&self) -> bool {
         self.qd.is_some()
+    }
+
+    /// The angle of the joint has been un-wrapped so far, or that of a joint of its drive.
+    pub(super) fn has_wrapped(&self, joint: usize) -> bool {
+        let counts = self.unwrap.count.iter().enumerate();
+        let is_own = |other: usize| other == joint || self.coupling.is_some();
+        counts
+            .filter(|(other, _)| is_own(*other))
+            .any(|(_, count)| *count > 0)
     }
 
     /// Remark on the joints whose angles were wrapped so far.
@@ -324,7 +341,7 @@ impl LogReader {
             qdd: numbers(&self.qdd)?,
             tau: numbers(&Some(self.tau))?,
         };
-        if let Err((joint, jump)) = self.unwrap.take(&mut row.q) {
+        if let Err((joint, jump)) = self.unwrap.take(t_s, &mut row.q) {
             let swapped = self.is_swapped();
             let name = &self.rows.header[self.q.places[joint]];
             let problem = match swapped {
@@ -400,19 +417,20 @@ impl Roughness {
 }
 
 impl Unwrap {
-    /// Continues the angles `q` of a row, rad.
+    /// Continues the angles `q` of the row at `t_s`, rad.
     ///
-    /// Errors: joint and jump, where a joint with ends in its range jumps by a turn.
-    fn take(&mut self, q: &mut PerJoint<f64>) -> Result<(), (usize, f64)> {
-        let last = self.last.replace(*q).unwrap_or(*q);
+    /// Errors: joint and jump, where a joint with ends in its range jumps by a turn, faster than it can move.
+    fn take(&mut self, t_s: f64, q: &mut PerJoint<f64>) -> Result<(), (usize, f64)> {
+        let (last_s, last) = self.last.replace((t_s, *q)).unwrap_or((t_s, *q));
         for (joint, (q, last)) in q.iter_mut().zip(last.iter()).enumerate() {
             let jump = *q - last;
             if (jump.abs() - TAU).abs() < WRAP_RAD {
-                if !self.continuous[joint] {
+                if self.continuous[joint] {
+                    self.offset[joint] -= TAU.copysign(jump);
+                    self.count[joint] += 1;
+                } else if jump.abs() > self.fastest[joint] * (t_s - last_s) {
                     return Err((joint, jump));
                 }
-                self.offset[joint] -= TAU.copysign(jump);
-                self.count[joint] += 1;
             }
             *q += self.offset[joint];
         }

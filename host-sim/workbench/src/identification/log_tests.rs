@@ -326,6 +326,19 @@ fn wrapped_angles_continue_on_continuous_joints_only() {
     let refused = refused.expect_err("limited");
     let jump = "wrapped.csv:28: column q6_rad: a jump of -6.158 rad";
     assert!(refused.starts_with(jump), "{refused}");
+    // Over ten seconds without rows it can make that way.
+    let mut apart = own().lines().next().expect("header").to_owned() + "\n";
+    for k in 0..ROWS {
+        let (t, mut q, qd, tau) = row(k);
+        let behind = f64::from(u8::from(k >= ROWS / 2));
+        q[5] = 2.8 * (2.0 * behind - 1.0);
+        let values = [&[t + 10.0 * behind][..], &q, &qd, &tau].concat();
+        let fields: Vec<String> = values.iter().map(f64::to_string).collect();
+        apart += &(fields.join(",") + "\n");
+    }
+    let (rows, notes) = read_text("apart.csv", &apart, &limited).expect("two sections");
+    assert_eq!((rows[0].q[5], rows[ROWS - 1].q[5]), (-2.8, 2.8));
+    assert!(!notes.contains("un-wrapped"), "{notes}");
     // Torques stand for the positions.
     let mut text = own().lines().next().expect("header").to_owned() + "\n";
     for k in 0..ROWS {

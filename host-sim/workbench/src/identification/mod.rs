@@ -30,7 +30,7 @@ mod whole_log;
 
 pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use dataset::SampleRow;
-pub use filter::{Butterworth, despiked};
+pub use filter::despiked;
 pub use gains::with_gains;
 pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify, same_content};
 pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};

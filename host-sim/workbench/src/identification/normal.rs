@@ -156,7 +156,7 @@ impl NormalEquations {
 }
 
 /// The matrix with a unit diagonal, and the reciprocal column lengths that make it so.
-fn equilibrated(gram: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
+pub(super) fn equilibrated(gram: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     let inverse = gram
         .diagonal()
         .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });

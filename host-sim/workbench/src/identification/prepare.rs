@@ -156,13 +156,11 @@ impl Preparation {
     ) -> Self {
         let (reader, period_s, name) = (&log.reader, log.period_s(), path.display());
         notes.extend_from_slice(&log.notes);
-        if reader.has_currents {
-            notes.push(format!("{name}: torque is drive gain × motor current"));
-        }
-        // Up to the first gap: derivatives across it would be wrong.
+        let start_s = log.preview.first().map_or(0.0, |row| row.t_s);
+        // Without gaps: derivatives across one would be wrong.
         let whole = |a: &LogRow, b: &LogRow| b.t_s - a.t_s <= GAP_PERIODS * period_s;
-        let preview = log.preview.chunk_by(whole).next().unwrap_or_default();
-        let start_s = preview.first().map_or(0.0, |row| row.t_s);
+        let pieces = log.preview.chunk_by(whole);
+        let preview = pieces.max_by_key(|piece| piece.len()).unwrap_or_default();
         let at = |logged| Self::new(config, start_s, period_s, logged);
         let edge = at([false; 2]).edge().min(preview.len() / 3);
         let mut logged = [false; 2];
@@ -197,12 +195,14 @@ impl Preparation {
                 error += apart.sum::<f64>();
                 size += derived.iter().map(|value| value * value).sum::<f64>();
             }
-            let apart = (error / f64::max(size, f64::MIN_POSITIVE)).sqrt();
-            logged[order] = reader.is_mapped || apart <= TRUST[order];
+            logged[order] = reader.is_mapped || error <= TRUST[order].powi(2) * size;
             if !logged[order] {
+                let apart = match size > 0.0 {
+                    true => format!("{:.1} % of their RMS", 100.0 * (error / size).sqrt()),
+                    false => "not zero, and so".to_owned(),
+                };
                 notes.push(format!(
-                    "{name}: logged {kind} are {:.1} % of their RMS off the derivative of the positions, taken for set-points; derived instead",
-                    100.0 * apart
+                    "{name}: logged {kind} are {apart} off the derivative of the positions, taken for set-points; derived instead"
                 ));
             }
         }

@@ -1,12 +1,12 @@
 //! Logs as prepared rows: as a stream of stretches, or a periodic one folded into one period.
 
-use super::clock::GAP_PERIODS;
+use super::clock::{GAP_PERIODS, mean_period_s};
 use super::columns::Layout;
 use super::filter::{Harmonics, despiked, median};
 use super::log::{LogReader, LogRow};
 use super::normal::SpeedSums;
 use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch, states};
-use super::whole_log::WholeLog;
+use super::whole_log::{FOLLOWED, WholeLog, too_short};
 use super::{IdentifyError, refused};
 use crate::Refusal;
 use crate::parallel::{cores, in_parallel};
@@ -17,6 +17,9 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 
 /// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
 const STRETCH: usize = 16_384;
+
+/// Gaps that are noted one by one.
+const GAPS: usize = 3;
 
 /// Prepares a log stretch by stretch on all cores and passes every stretch to `take` in the order of the log, so that sums
 /// are the same in every run. Memory does not grow with the log.
@@ -64,7 +67,7 @@ fn cut_into_stretches(
     path: &Path,
     to_workers: &SyncSender<Stretch>,
 ) -> Result<Vec<String>, TableError> {
-    let (mut notes, name) = (Vec::new(), path.display());
+    let (mut notes, name, mut gaps) = (Vec::new(), path.display(), 0);
     let (margin, edge) = (preparation.margin(), preparation.edge());
     // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
     let mut rows: Vec<LogRow> = Vec::new();
@@ -78,7 +81,8 @@ fn cut_into_stretches(
         let pair = row.as_ref().zip(rows.last());
         let step = pair.map_or(0.0, |(row, last)| row.t_s - last.t_s);
         let gap = step > GAP_PERIODS * preparation.period_s;
-        if let (true, Some(row)) = (gap, &row) {
+        gaps += usize::from(gap);
+        if let (true, Some(row)) = (gap && gaps <= GAPS, &row) {
             notes.push(format!(
                 "{name}:{}: column t_s: gap of {step:.4} s, more than four lost rows: split here",
                 row.line
@@ -103,6 +107,12 @@ fn cut_into_stretches(
             None => break,
         }
     }
+    if gaps > GAPS {
+        let more = gaps - GAPS;
+        notes.push(format!(
+            "{name}: {more} more gaps in its times: split there, too"
+        ));
+    }
     notes.extend(log.reader.wraps());
     if log.lost > 0 {
         notes.push(format!(
@@ -117,14 +127,16 @@ fn cut_into_stretches(
 const CHUNK: usize = 16_384;
 /// Largest distance of a row from its even place, share of the time between rows.
 const UNEVEN: f64 = 0.25;
+/// Most products of a number with a harmonic: minutes of work.
+const MOST_PRODUCTS: f64 = 1e11;
 
 /// Folds a log whose motion repeats every `period_s` into one period and prepares it. Memory is that of one period.
 ///
 /// Everything between the harmonics of a periodic motion is noise: averaging and projection remove it without edges, and
 /// the derivatives of the series are exact [Swevers et al. 1997]. Regressor and torque share the harmonics.
 ///
-/// Errors: [`TableError`] of a bad row; one line when the period is no whole number of rows, a row is out of place, or the
-/// log is shorter than the period.
+/// Errors: [`TableError`] of a bad row; one line when the period is no whole number of rows or too long, a row is out of
+/// place, or the log is shorter than the period.
 pub(super) fn folded(
     path: &Path,
     robot: &Robot,
@@ -143,7 +155,7 @@ pub(super) fn folded(
         if chunk.len() == CHUNK || row.is_none() {
             let fold = match &mut fold {
                 Some(fold) => fold,
-                None => fold.insert(Fold::new(&chunk, period_s, path)?),
+                None => fold.insert(Fold::new(&chunk, period_s, layout, config, path)?),
             };
             fold.add(&chunk, config, path)?;
             chunk.clear();
@@ -153,6 +165,8 @@ pub(super) fn folded(
         }
     }
     let mut fold = fold.ok_or_else(|| TableError::empty(path))?;
+    notes.extend_from_slice(&reader.notes);
+    notes.extend(reader.wraps());
     let run_in = if fold.leave_run_in() {
         ", the first left out"
     } else {
@@ -174,19 +188,21 @@ pub(super) fn folded(
         let problem = format!("the positions repeat every {found:.5} s, not every {period_s} s");
         return Err(refused(path, problem));
     }
-    let harmonics = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
-    let of_motion = harmonics(config.motion_hz);
-    let of_torque = harmonics(config.torque_hz.unwrap_or(f64::INFINITY));
+    let (of_motion, of_torque) = fold.harmonics;
+    let on = of_torque.map_or("as they are".to_owned(), |count| format!("on {count}"));
     notes.push(format!(
-        "{name}: {:.2} periods of {period_s} s folded into one{run_in}; motion on {of_motion} harmonics, torque and regressor on {of_torque}",
+        "{name}: {:.2} periods of {period_s} s folded into one{run_in}; motion on {of_motion} harmonics, torque and regressor {on}",
         fold.sums.count.iter().sum::<f64>() / phases as f64
     ));
     let mut preparation = fold.preparation(config);
-    preparation.folded_stride = Some((phases / (2 * of_torque + 1)).max(1));
+    let stride = |count: usize| (phases / (2 * count + 1)).max(1);
+    preparation.folded_stride = Some(of_torque.map_or(1, stride));
     let raw = fold.period(of_motion, period_s);
     let prepared = raw.filled(&preparation, layout, &|table, width| {
-        let harmonics = Harmonics::of(table, width, of_torque);
-        table.copy_from_slice(&harmonics.evaluate(0, period_s));
+        if let Some(count) = of_torque {
+            let harmonics = Harmonics::of(table, width, count);
+            table.copy_from_slice(&harmonics.evaluate(0, period_s));
+        }
     });
     Ok((preparation, prepared))
 }
@@ -222,6 +238,10 @@ impl PhaseSums {
 struct Fold {
     start_s: f64,
     row_s: f64,
+    /// Rows by which the clock of the log is late.
+    late: f64,
+    /// Harmonics of the motion, and of torque and regressor where these have a cut-off.
+    harmonics: (usize, Option<usize>),
     joints: usize,
     sums: PhaseSums,
     /// Those of the first period, once it is over.
@@ -267,22 +287,41 @@ impl Repeats {
 }
 
 impl Fold {
-    fn new(first: &[LogRow], period_s: f64, path: &Path) -> Result<Self, IdentifyError> {
-        let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
-        let row_s = median(&mut steps);
+    fn new(
+        first: &[LogRow],
+        period_s: f64,
+        layout: &Layout,
+        config: &PrepareConfig,
+        path: &Path,
+    ) -> Result<Self, IdentifyError> {
         if first.len() < 3 {
-            return Err(TableError::empty(path).into());
+            return Err(too_short(path, first.len()).into());
         }
+        let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
+        let median_s = median(&mut steps);
+        let row_s = mean_period_s(steps.into_iter(), median_s);
         let phases = (period_s / row_s).round();
-        if phases < 3.0 || (phases * row_s - period_s).abs() > 1e-6 * period_s {
+        if phases < 3.0 || (phases * row_s - period_s).abs() > UNEVEN * row_s {
             let rows = format!("rows, which are {row_s:.6} s apart");
             let problem = format!("a period of {period_s} s is no whole number of {rows}");
             return Err(refused(path, problem));
         }
         let (phases, joints) = (phases as usize, first[0].q.len());
+        let below = |hz: f64| ((hz * period_s) as usize).clamp(1, (phases - 1) / 2);
+        let harmonics = (below(config.motion_hz), config.torque_hz.map(below));
+        let numbers = harmonics.0 * joints + harmonics.1.unwrap_or(0) * layout.width;
+        if phases as f64 * numbers as f64 > MOST_PRODUCTS {
+            let problem = format!(
+                "a period of {period_s} s has {phases} rows and {} harmonics, too many to project: give a shorter period, a lower --motion-hz and --torque-hz, or fewer rows a second",
+                harmonics.0
+            );
+            return Err(refused(path, problem));
+        }
         Ok(Self {
             start_s: first[0].t_s,
-            row_s,
+            row_s: period_s / phases as f64,
+            late: 0.0,
+            harmonics,
             joints,
             sums: PhaseSums::zeros(phases, joints),
             first: None,
@@ -310,7 +349,10 @@ impl Fold {
         self.spikes += spikes;
         for (row, clean) in rows.iter().zip(clean.chunks_exact(joints)) {
             let place = (row.t_s - self.start_s) / self.row_s;
-            if (place - place.round()).abs() > UNEVEN {
+            let off = place - self.late - (place - self.late).round();
+            // The clocks of log and motion are not quite the same.
+            self.late += FOLLOWED * off;
+            if off.abs() > UNEVEN {
                 let (name, line, t_s) = (path.display(), row.line, row.t_s);
                 return Err(IdentifyError::Refused(Refusal(format!(
                     "{name}:{line}: column t_s: {t_s} is off the even spacing of {:.6} s that folding needs",
@@ -398,34 +440,194 @@ mod tests {
     use std::f64::consts::TAU;
     use std::fmt::Write;
 
-    #[test]
-    fn the_first_of_three_periods_is_left_out() {
-        let here = tempfile::tempdir().expect("creates");
+    const CONFIG: PrepareConfig = PrepareConfig {
+        motion_hz: 10.0,
+        torque_hz: None,
+        still_rad_s: PrepareConfig::STILL_RAD_S,
+    };
+
+    /// A UR5's first joint, and columns for it.
+    fn joint() -> (Robot, Layout) {
         let mut robot = Robot::load("ur5").expect("built in");
         robot.joints.truncate(1);
-        let columns = ColumnSet::default();
-        let layout = Layout::new(&robot, &columns);
-        let config = PrepareConfig {
-            motion_hz: 10.0,
-            torque_hz: None,
-            still_rad_s: PrepareConfig::STILL_RAD_S,
-        };
-        // The torque settles in the first second; rows are lost from `lost` on.
-        let torques = |periods: u32, lost: std::ops::Range<u32>| {
-            let path = here.path().join("log.csv");
-            let mut text = "t_s,q1_rad,tau1_nm\n".to_owned();
-            for k in (0..200 * periods).filter(|k| !lost.contains(k)) {
-                let t_s = 0.02 * f64::from(k);
-                let (q, run_in) = ((TAU * t_s / 4.0).sin(), 5.0 * (-4.0 * t_s).exp());
-                writeln!(text, "{t_s},{q},{}", 2.0 * q + run_in).expect("a string");
-            }
-            std::fs::write(&path, text).expect("writes");
-            let mut notes = Vec::new();
-            let (_, prepared) =
-                folded(&path, &robot, &layout, &config, 4.0, &mut notes).expect("a log");
+        let layout = Layout::new(&robot, &ColumnSet::default());
+        (robot, layout)
+    }
+
+    /// Periods of 4 s folded from rows of time, position and torque.
+    fn fold_of(
+        rows: impl Iterator<Item = [f64; 3]>,
+        config: &PrepareConfig,
+        period_s: f64,
+    ) -> Result<(Prepared, String), String> {
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("log.csv");
+        let mut text = "t_s,q1_rad,tau1_nm\n".to_owned();
+        for [t_s, q, tau] in rows {
+            writeln!(text, "{t_s},{q},{tau}").expect("a string");
+        }
+        std::fs::write(&path, text).expect("writes");
+        let ((robot, layout), mut notes) = (joint(), Vec::new());
+        let found = folded(&path, &robot, &layout, config, period_s, &mut notes);
+        let (_, prepared) = found.map_err(|error| error.to_string())?;
+        Ok((prepared, notes.join("\n")))
+    }
+
+    /// The first joint swings once in 4 s; its torque is twice its position.
+    fn swing(t_s: f64) -> [f64; 3] {
+        let q = (TAU * t_s / 4.0).sin();
+        [t_s, q, 2.0 * q]
+    }
+
+    #[test]
+    fn large_times_and_clocks_that_are_not_quite_right_fold() {
+        for (start_s, rate) in [
+            (0.0, 1.0),
+            (1.7e9, 1.0),
+            (0.0, 1.0 + 1e-5),
+            (1.7e9, 1.0 - 1e-5),
+        ] {
+            let rows = (0..40_000).map(|k| {
+                let t_s = 1e-3 * f64::from(k);
+                let [_, q, tau] = swing(t_s);
+                [start_s + rate * t_s, q, tau]
+            });
+            let (prepared, notes) = fold_of(rows, &CONFIG, 4.0).expect("a sound log");
+            assert!(notes.contains("9.00 periods of 4 s folded"), "{notes}");
             let rows = prepared.tau.iter().zip(&prepared.states);
             let apart = rows.map(|(tau, state)| (tau - 2.0 * state.q[0]).abs());
-            (apart.fold(0.0, f64::max), notes.concat())
+            assert!(apart.fold(0.0, f64::max) < 1e-3);
+        }
+        let rows = (0..400).map(|k| swing(0.0201 * f64::from(k)));
+        let refused = fold_of(rows, &CONFIG, 4.03).expect_err("200.5 rows");
+        assert!(refused.contains("is no whole number of rows"), "{refused}");
+    }
+
+    #[test]
+    fn torques_without_a_cut_off_stay_and_endless_projections_are_refused() {
+        let noisy = |k: u32| {
+            let [t_s, q, _] = swing(0.02 * f64::from(k));
+            [t_s, q, f64::from(k * 7919 % 101)]
+        };
+        let rows: Vec<[f64; 3]> = (0..200).map(noisy).collect();
+        let (prepared, notes) = fold_of(rows.iter().copied(), &CONFIG, 4.0).expect("a log");
+        let tau: Vec<f64> = rows.iter().map(|row| row[2]).collect();
+        assert_eq!(prepared.tau, tau);
+        assert!(
+            notes.contains("torque and regressor as they are"),
+            "{notes}"
+        );
+        let fast = PrepareConfig {
+            motion_hz: 400.0,
+            torque_hz: Some(400.0),
+            ..CONFIG
+        };
+        let rows = (0..3).map(|k| swing(1e-3 * f64::from(k)));
+        let refused = fold_of(rows, &fast, 1e4).expect_err("4e13 products");
+        assert!(
+            refused.contains("too many to project: give a shorter"),
+            "{refused}"
+        );
+    }
+
+    #[test]
+    fn folding_keeps_the_remarks_of_the_reader_and_counts_its_rows() {
+        let rows = (0..400).map(|k| {
+            let [t_s, q, tau] = swing(0.02 * f64::from(k));
+            // The joint swings about half a turn, and its angle wraps.
+            [
+                t_s,
+                if q > 0.0 {
+                    q - 0.5 * TAU
+                } else {
+                    q + 0.5 * TAU
+                },
+                tau,
+            ]
+        });
+        let (_, notes) = fold_of(rows, &CONFIG, 4.0).expect("a log");
+        assert!(
+            notes.contains("angles un-wrapped: joint 1 4 times"),
+            "{notes}"
+        );
+        for (rows, wanted) in [
+            (0, ": no rows"),
+            (1, ": 1 rows, a mo"),
+            (2, ": 2 rows, a mo"),
+        ] {
+            let rows = (0..rows).map(|k| swing(0.02 * f64::from(k)));
+            let refused = fold_of(rows, &CONFIG, 4.0).expect_err("too short");
+            assert!(refused.contains(wanted), "{refused}");
+        }
+    }
+
+    /// Preparation and notes of a log of these rows of time, position, velocity and torque.
+    fn prepared(rows: impl Iterator<Item = [f64; 4]>) -> (Preparation, Vec<String>) {
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("log.csv");
+        let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
+        for [t_s, q, qd, tau] in rows {
+            writeln!(text, "{t_s},{q},{qd},{tau}").expect("a string");
+        }
+        std::fs::write(&path, text).expect("writes");
+        let ((robot, layout), mut notes) = (joint(), Vec::new());
+        let (config, take) = (&CONFIG, &mut |_: &Preparation, _| ());
+        let found = for_each_prepared(&path, &robot, &layout, config, &mut notes, take);
+        (found.expect("a log"), notes)
+    }
+
+    #[test]
+    fn velocities_are_judged_where_the_log_has_no_gap_and_moves() {
+        let moving = |t_s: f64| {
+            let w = TAU / 4.0;
+            [t_s, -(w * t_s).cos(), w * (w * t_s).sin(), 0.0]
+        };
+        let times = |rows: u32| (0..rows).map(|k| 0.02 * f64::from(k));
+        let stray = std::iter::once(moving(-5.0)).chain(times(800).map(moving));
+        let resting = times(800).map(|t_s| [t_s, 0.5, 0.0, 0.0]);
+        let late = times(6000).map(|t_s| match t_s < 100.0 {
+            true => [t_s, -1.0, 0.0, 0.0],
+            false => moving(t_s),
+        });
+        for (name, rows) in [
+            ("stray", stray.collect::<Vec<_>>()),
+            ("resting", resting.collect()),
+            ("late", late.collect()),
+        ] {
+            let (preparation, notes) = prepared(rows.into_iter());
+            assert!(preparation.logged[0], "{name}: {notes:?}");
+        }
+        let wrong = times(800).map(|t_s| [t_s, 0.5, 0.1, 0.0]);
+        let (preparation, notes) = prepared(wrong);
+        assert!(!preparation.logged[0] && notes.concat().contains("velocities are not zero"));
+        assert!(notes.iter().all(|note| note.len() < 250), "{notes:?}");
+    }
+
+    #[test]
+    fn many_gaps_are_few_notes() {
+        let rows = (0..30_000).map(|k| {
+            let t_s = 0.02 * f64::from(k) + 5.0 * f64::from(k / 30);
+            [t_s, t_s.sin(), t_s.cos(), 0.0]
+        });
+        let (_, notes) = prepared(rows);
+        let gaps = notes.iter().filter(|note| note.contains("gap"));
+        let gaps: Vec<&String> = gaps.collect();
+        assert_eq!(gaps.len(), GAPS + 1, "{gaps:?}");
+        assert!(gaps[GAPS].contains(": 996 more gaps"), "{gaps:?}");
+    }
+
+    #[test]
+    fn the_first_of_three_periods_is_left_out() {
+        // The torque settles in the first second; rows are lost from `lost` on.
+        let torques = |periods: u32, lost: std::ops::Range<u32>| {
+            let rows = (0..200 * periods).filter(|k| !lost.contains(k)).map(|k| {
+                let [t_s, q, tau] = swing(0.02 * f64::from(k));
+                [t_s, q, tau + 5.0 * (-4.0 * t_s).exp()]
+            });
+            let (prepared, notes) = fold_of(rows, &CONFIG, 4.0).expect("a log");
+            let rows = prepared.tau.iter().zip(&prepared.states);
+            let apart = rows.map(|(tau, state)| (tau - 2.0 * state.q[0]).abs());
+            (apart.fold(0.0, f64::max), notes)
         };
         let (apart, notes) = torques(3, 0..0);
         assert!(apart < 1e-3, "{apart}");

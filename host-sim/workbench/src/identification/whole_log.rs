@@ -10,6 +10,23 @@ use std::path::Path;
 
 /// Rows from which the period and the sources of motion are found.
 const PREVIEW: usize = 4096;
+/// Most rows that are read for them, where the arm rests first.
+const LONGEST_PREVIEW: usize = 16 * PREVIEW;
+/// Distance from its first position at which a joint has moved, rad.
+const MOVED_RAD: f64 = 0.2;
+
+/// The error of a log of fewer than three rows.
+pub(super) fn too_short(path: &Path, rows: usize) -> TableError {
+    match rows {
+        0 => TableError::empty(path),
+        rows => TableError::at(
+            path,
+            None,
+            format!("{rows} rows, a motion needs 3 at least"),
+        ),
+    }
+}
+
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
 /// Rows with an uneven clock are put on an even grid in the same way, and rows that repeat their positions are left out.
@@ -44,25 +61,28 @@ impl WholeLog {
     /// Errors: [`TableError`] of the header or of one of these rows; fewer than three rows.
     pub fn open(path: &Path, robot: &Robot) -> Result<Self, TableError> {
         let mut reader = LogReader::open(path, robot)?;
-        let mut first = Vec::new();
-        while first.len() < PREVIEW
+        let mut first: Vec<LogRow> = Vec::new();
+        let (mut wanted, mut rests) = (PREVIEW, true);
+        while first.len() < wanted
             && let Some(row) = reader.next_row()?
         {
             first.push(row);
+            let moved = |(q, start): (&f64, &f64)| (q - start).abs() > MOVED_RAD;
+            rests &= !row.q.iter().zip(first[0].q.iter()).any(moved);
+            if rests && first.len() > PREVIEW / 2 {
+                wanted = (first.len() + PREVIEW).min(LONGEST_PREVIEW);
+            }
         }
         if first.len() < 3 {
-            return Err(match first.len() {
-                0 => TableError::empty(path),
-                rows => {
-                    let problem = format!("{rows} rows, a motion needs 3 at least");
-                    TableError::at(path, None, problem)
-                }
-            });
+            return Err(too_short(path, first.len()));
         }
-        let mut held = Held::of(&first);
+        // Rows of an arm at rest decide on nothing.
+        let last = |rows: &[LogRow]| rows.len().saturating_sub(PREVIEW)..;
+        let mut held = Held::of(&first[last(&first)]);
         first.retain(|row| held.is_new(row));
-        let steps = StepTimes::of(&first);
-        let (clock, period_s) = clock(&first, &steps);
+        let moving = &first[last(&first)];
+        let steps = StepTimes::of(moving);
+        let (clock, period_s) = clock(moving, &steps);
         if held.times > 1 {
             reader.notes.push(format!(
                 "{}: positions repeat in {times} rows: they were read at {:.0} Hz, and one row of {times} is kept",
@@ -76,7 +96,7 @@ impl WholeLog {
             reader,
             held,
             preview: Vec::new(),
-            resolution: resolution(&first),
+            resolution: resolution(moving),
             period_s,
             clock,
             longest_s: steps.longest_s,
@@ -242,7 +262,8 @@ fn between(a: &LogRow, b: &LogRow, part: f64, has_velocity: bool) -> LogRow {
 }
 
 /// Share of the delay of a row by which the even times follow.
-const FOLLOWED: f64 = 0.01;
+pub(super) const FOLLOWED: f64 = 0.01;
+
 /// Resolution of the positions, rad: the least change from a row to the next; 0 at rest.
 fn resolution(rows: &[LogRow]) -> Vec<f64> {
     let joints = rows.first().map_or(0, |row| row.q.len());

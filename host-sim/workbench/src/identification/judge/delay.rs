@@ -3,7 +3,7 @@
 use super::{ANALYTIC, DELAY_S, FAST_RAD_S, Judgement};
 use crate::dynamics::Motion;
 use crate::identification::columns::Layout;
-use crate::metrics::scaled;
+use crate::identification::normal::equilibrated;
 use nalgebra::{DMatrix, DVector};
 use std::collections::VecDeque;
 
@@ -146,14 +146,13 @@ impl Sums {
 
     /// Squares that the best parameters leave at every delay, and the number of averages beyond that of the columns.
     fn rests(&self) -> Option<(DVector<f64>, f64)> {
-        let reciprocal = |square| 1.0 / f64::max(square, f64::MIN_POSITIVE).sqrt();
-        let size = self.gram.diagonal().map(reciprocal);
-        let inverse = scaled(&self.gram, &size).pseudo_inverse(1e-8).ok()?;
+        let (unit, size) = equilibrated(&self.gram);
+        let inverse = unit.pseudo_inverse(1e-8).ok()?;
         let rests = DVector::from_fn(self.powers.len(), |delay, _| {
             let moment = self.moments.column(delay).component_mul(&size);
             self.powers[delay] - moment.dot(&(&inverse * &moment))
         });
-        let used = size.iter().filter(|size| **size < 1e100).count();
+        let used = size.iter().filter(|size| **size > 0.0).count();
         let free = self.count - used as f64;
         (free > 1.0 && rests.min() > 0.0).then_some((rests, free))
     }

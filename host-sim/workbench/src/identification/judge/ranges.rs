@@ -27,6 +27,8 @@ const FEW: f64 = 0.01;
 #[derive(Clone, Copy, Default)]
 pub(super) struct Extremes {
     pub(super) position: (f64, f64),
+    /// The position counts turns of the joint: it has no ends.
+    unwrapped: bool,
     pub(super) speed: f64,
     /// Time of that speed, s, and steps beyond what the joint can do.
     fastest_s: f64,
@@ -192,13 +194,13 @@ pub(super) fn scan(
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
     let mut last: Vec<LogRow> = Vec::new();
-    let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
-    rough.for_each(Roughness::pause);
     while let Some(row) = log.next_row()? {
         // Over a gap an angle may have wrapped.
-        let before = last.last();
-        if before.is_some_and(|before| row.t_s - before.t_s > GAP_PERIODS * period_s) {
+        let follows = |before: &LogRow| row.t_s - before.t_s <= GAP_PERIODS * period_s;
+        if !last.last().is_some_and(follows) {
             last.clear();
+            let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
+            rough.for_each(Roughness::pause);
         }
         for (joint, sums) in extremes.iter_mut().enumerate() {
             let (q, tau) = (row.q[joint], row.tau[joint]);
@@ -249,6 +251,9 @@ pub(super) fn scan(
         }
         last.push(row);
     }
+    for (joint, sums) in extremes.iter_mut().enumerate() {
+        sums.unwrapped |= log.reader.has_wrapped(joint);
+    }
     Ok((period_s, log.reader.has_currents))
 }
 
@@ -263,9 +268,11 @@ pub(super) fn units(
 ) {
     let joints = || robot.joints.iter().zip(extremes).enumerate();
     let most = |(low, high): (f64, f64)| low.abs().max(high.abs());
+    let is_far = |joint: &Joint, seen: &Extremes| {
+        !seen.unwrapped && most(seen.position) > BEYOND * most(joint.limits.position)
+    };
     let far = joints().find(|(_, (joint, seen))| {
-        let beyond = most(seen.position) > BEYOND * most(joint.limits.position);
-        beyond || seen.speed > BEYOND * joint.limits.velocity
+        is_far(joint, seen) || seen.speed > BEYOND * joint.limits.velocity
     });
     let fits = |joint: &Joint, seen: &Extremes| seen.torque <= 1.1 * most(joint.limits.position);
     // A torque without noise is smooth, too, but no position.
@@ -277,8 +284,7 @@ pub(super) fn units(
     }
     if let Some((number, (joint, seen))) = far {
         let (most, (low, high)) = (most(seen.position), joint.limits.position);
-        let fits = most <= BEYOND * low.abs().max(high.abs());
-        let text = if fits && seen.fast <= 2.0 * FEW * seen.rows {
+        let text = if !is_far(joint, seen) && seen.fast <= 2.0 * FEW * seen.rows {
             format!(
                 "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {WITHOUT_ROWS}; or are the limits too low (--velocity-limits)?",
                 number + 1,
@@ -443,4 +449,54 @@ fn rates(extremes: &[Extremes]) -> Option<String> {
             "positions of joint {joint} change {ratio:.2} times as fast as its logged velocities, those of the others do not: is the scale of one of the two wrong?"
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{PI, TAU};
+
+    /// Ranges and findings of a log of one joint: times, positions and torques of its rows.
+    fn scanned(rows: &[[f64; 3]]) -> (Extremes, Vec<String>) {
+        let here = tempfile::tempdir().expect("creates");
+        let path = here.path().join("log.csv");
+        let lines = rows.iter().map(|[t, q, tau]| format!("{t},{q},{tau}\n"));
+        let text = "t_s,q1_rad,tau1_nm\n".to_owned() + &lines.collect::<String>();
+        std::fs::write(&path, text).expect("writes");
+        let mut robot = Robot::load("ur5").expect("built in");
+        robot.joints.truncate(1);
+        let mut extremes = [Extremes::none()];
+        scan(&path, &robot, &mut extremes).expect("a log");
+        let mut judgement = Judgement::default();
+        units(&mut judgement, &robot, &extremes, false);
+        let findings = judgement.findings.into_iter().map(|finding| finding.text);
+        (extremes[0], findings.collect())
+    }
+
+    #[test]
+    fn a_joint_that_turns_on_is_not_out_of_its_range() {
+        let log = |wrapped: bool| {
+            let rows = (0..4000).map(|k| {
+                let t = 0.01 * f64::from(k);
+                let q = if wrapped { (t + PI) % TAU - PI } else { t };
+                [t, q, 100.0 * (0.3 * t).sin()]
+            });
+            scanned(&rows.collect::<Vec<_>>())
+        };
+        let (seen, findings) = log(true);
+        assert!(seen.position.1 > 6.0 * TAU, "{:?}", seen.position);
+        assert!(findings.is_empty(), "{findings:?}");
+        assert!(log(false).1.concat().contains("are these degrees"));
+    }
+
+    #[test]
+    fn a_jump_over_a_gap_is_no_noise_of_the_torque() {
+        // Five seconds lost, and another torque behind them.
+        let rows = (0..400).map(|k| {
+            let (t, behind) = (0.01 * f64::from(k), f64::from(k / 200));
+            [t + 5.0 * behind, t.sin(), t + 50.0 * behind]
+        });
+        let (seen, _) = scanned(&rows.collect::<Vec<_>>());
+        assert!(seen.noise() < 1e-6, "{}", seen.noise());
+    }
 }
