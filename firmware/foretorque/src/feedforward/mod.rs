@@ -50,8 +50,8 @@ pub struct FeedForwardConfig<const N: usize> {
 const SLEW_TIME_S: f32 = 0.02;
 const HOLD_TIME_US: u32 = 10_000;
 const ACCELERATION_LIMIT: f32 = 100.0;
-/// Largest step of what was learnt, in units of the torque limit.
-const LEARNED_STEP: f32 = 0.01;
+/// Fastest change of what was learnt, torque limits a second.
+const LEARNED_RATE: f32 = 10.0;
 
 impl<const N: usize> FeedForwardConfig<N> {
     /// Defaults for an arm: its data-sheet limits, the full torque in 20 ms, 10 ms of holding.
@@ -64,7 +64,7 @@ impl<const N: usize> FeedForwardConfig<N> {
             acceleration_limit: ACCELERATION_LIMIT,
             slew_per_tick: torques.map(|torque| torque * period_s / SLEW_TIME_S),
             payload_bound: payload_bound::<A, N, P>(),
-            learned_slew_per_tick: torques.map(|torque| LEARNED_STEP * torque),
+            learned_slew_per_tick: torques.map(|torque| torque * LEARNED_RATE * period_s),
             // At least one tick: a single lost sample must not make the torque dip.
             hold_ticks: HOLD_TIME_US / whole_us(period_s) + 1,
         }

@@ -13,6 +13,9 @@ const FRICTION_CHANGE_S: f32 = 6e4;
 
 /// Length of a sample of the motion filter, s.
 const SAMPLE_S: f32 = 2e-3;
+/// Fastest change of the torque of any joint by newly published sets, torque limits a second: a set of no more use leaves the
+/// torque within a second.
+const TORQUE_RATE: f32 = 5.0 / 6.0;
 /// Least speed of a joint whose rows are used, rad/s.
 const VELOCITY_GATE: f32 = 0.05;
 /// Least steps of an encoder within the motion filter at that speed. Rounding errs the fitted velocity by at most 1.5 steps
@@ -46,7 +49,8 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub torque_step: f32,
     /// Prior standard deviations, in the units of the parameters; 0 keeps a friction parameter at its prior.
     pub sigma: LinearParameters<N, P>,
-    /// Least speed of a joint whose rows are used, rad/s: stiction is not a function of velocity.
+    /// Least speed of a joint whose rows are used, rad/s: stiction is not a function of velocity. Faster where the motion filter
+    /// has less than four steps of the encoder at this speed.
     pub velocity_gate: f32,
     /// Largest plausible acceleration, rad/s²; beyond it an encoder error is assumed and rows of all joints are rejected.
     pub acceleration_limit: f32,
@@ -93,21 +97,23 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// ```
     pub fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
         let supervisor = SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s);
+        let decimation = sample_ticks(period_s, A::encoder_step()).clamp(1, N as u32);
+        let filter_s = (TAPS as u32 * decimation) as f32 * period_s;
         Self {
             inv_period: 1.0 / period_s,
             noise: 0.01,
             outlier_sigmas: 3.0,
             noise_inflation: 3.0,
-            decimation: sample_ticks(period_s, A::encoder_step()).clamp(1, N as u32),
+            decimation,
             correlation_s: 0.5,
             process_noise: N as f32 * period_s / FRICTION_CHANGE_S,
-            torque_step: 0.005,
+            torque_step: TORQUE_RATE * N as f32 * period_s,
             // Tables, so that a board does not compute them.
             sigma: LinearParameters {
                 friction: table!(A, friction_sigma),
                 rigid: table!(A, rigid_sigma),
             },
-            velocity_gate: VELOCITY_GATE,
+            velocity_gate: velocity_gate(A::encoder_step(), filter_s),
             acceleration_limit: 100.0,
             network: TrainerConfig {
                 output_sigma: 0.02,
@@ -122,6 +128,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Rows of a joint in the correlation time.
     pub(super) fn block_rows(&self) -> f32 {
         self.correlation_s * self.inv_period / N as f32
+    }
+
+    /// Part of the evidence for the shares that lasts over a change: as much as one block of correlated rows.
+    pub(super) fn lasting_part(&self) -> f32 {
+        self.correlation_s / self.supervisor.share_memory_s
     }
 
     /// Check of every field.
@@ -168,6 +179,11 @@ fn sample_ticks(period_s: f32, encoder_step: f32) -> u32 {
     (resolved_s.max(SAMPLE_S) / period_s + 0.5) as u32
 }
 
+/// Least speed, rad/s, for an encoder of the step `encoder_step`, rad, and a motion filter of `filter_s`.
+fn velocity_gate(encoder_step: f32, filter_s: f32) -> f32 {
+    VELOCITY_GATE.max(GATE_STEPS * encoder_step / filter_s)
+}
+
 const fn friction_sigma<const N: usize, const P: usize>(
     arm: &ArmModel<N, P>,
 ) -> [[f32; FRICTION_COLUMNS]; N] {
@@ -183,6 +199,27 @@ const fn friction_sigma<const N: usize, const P: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A learnt torque that is suddenly wrong leaves as soon with any number of joints and at any period.
+    #[test]
+    fn steps_are_of_time() {
+        use crate::arm::ur5::Ur5;
+        for period_s in [2.5e-4, 1e-3, 1e-2] {
+            let config = LearnerConfig::for_arm::<Ur5>(period_s);
+            let rate = config.torque_step / (6.0 * period_s);
+            assert!((rate - TORQUE_RATE).abs() < 1e-6, "{period_s}");
+            let supervisor = config.supervisor;
+            let checkpoint = supervisor.checkpoint_ticks as f32 / supervisor.block_ticks as f32;
+            assert!((12.0..13.0).contains(&checkpoint), "{checkpoint}");
+        }
+    }
+
+    #[test]
+    fn a_short_filter_of_a_coarse_encoder_has_a_faster_gate() {
+        let gate = |bits| velocity_gate(core::f32::consts::TAU / 2_f32.powi(bits), 31e-3);
+        assert_eq!(gate(17), VELOCITY_GATE);
+        assert!((gate(12) - 0.198).abs() < 1e-3, "{}", gate(12));
+    }
 
     #[test]
     fn a_coarse_encoder_makes_the_motion_filter_longer() {

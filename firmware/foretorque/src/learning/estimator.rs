@@ -99,15 +99,6 @@ pub struct Estimator<const N: usize, const P: usize> {
     factors_added: usize,
 }
 
-/// Innovation of one row.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Correction {
-    /// Residual before the update, in units of the torque limit.
-    pub residual: f32,
-    /// Expected variance of the residual, in units of the configured one.
-    pub variance: f32,
-}
-
 impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Estimate `prior` with the prior covariance of the arm.
     pub fn new<A: Arm<N, P>>(prior: &ParameterSet<N, P>) -> Self {
@@ -179,9 +170,18 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.compensation = LinearParameters::filled(0.0);
     }
 
-    /// Add `variance` to one friction parameter, in units of the prior variance.
+    /// Add `variance` to one friction parameter, in units of the prior variance, up to that variance.
     pub(super) fn raise_variance(&mut self, joint: usize, column: usize, variance: f32) {
-        self.filter.add_process_noise(joint, column, variance);
+        let own = self.filter.friction_variance(joint, column);
+        let lacking = 1.0 - own.unwrap_or(1.0);
+        if lacking > 0.0 {
+            let noise = if lacking < variance {
+                lacking
+            } else {
+                variance
+            };
+            self.filter.add_process_noise(joint, column, noise);
+        }
     }
 
     /// Estimate, in the units of the parameters.
@@ -208,7 +208,8 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Update with the torque `tau` of `joint`, N·m, and its `row`.
     ///
     /// * `limit` torque limit of the joint, N·m
-    /// * returns the innovation; `None` if a number was not finite, with the estimate unchanged
+    /// * returns the expected variance of the innovation, in units of the configured one; `None` if a number was not finite,
+    ///   with the estimate unchanged
     ///
     /// Cost: [`UdFilter::update`], about `6 n` multiply-adds besides.
     pub fn correct(
@@ -218,7 +219,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         limit: f32,
         row: &LinearParameters<N, P>,
         tau: f32,
-    ) -> Option<Correction> {
+    ) -> Option<f32> {
         self.correct_joint(config, joint, limit, &row.of_joint(joint)?, tau)
     }
 
@@ -231,7 +232,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         limit: f32,
         row: &JointEntries<P>,
         tau: f32,
-    ) -> Option<Correction> {
+    ) -> Option<f32> {
         let inv_noise = 1.0 / (config.noise * limit);
         let sigma = &config.sigma;
         let expected = row.friction_dot(joint, &self.parameters) + row.rigid_dot(&self.parameters);
@@ -256,14 +257,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             self.filter.add_process_noise(joint, place, noise);
         }
         *turn = (*turn + 1) % RANDOM_WALK_COLUMNS.len();
-        let mut phi = *row;
-        let scale = |phi: &mut [f32], sigma: &[f32]| {
-            for (phi, sigma) in phi.iter_mut().zip(sigma) {
-                *phi *= sigma * inv_noise;
-            }
-        };
-        scale(&mut phi.own, own);
-        scale(&mut phi.rigid, &sigma.rigid);
+        let phi = row.scaled(own, &sigma.rigid, inv_noise);
         let mut gain = LinearParameters::filled(0.0);
         let correlation = self.correlation.get_mut(joint)?;
         let inflated = config.noise_inflation * *measured;
@@ -285,10 +279,21 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let mut step = clipped / total;
         self.bound(sigma, joint, &mut gain, &mut step);
         self.move_by(sigma, &gain, step);
-        Some(Correction {
-            residual: innovation * config.noise,
-            variance,
-        })
+        Some(variance)
+    }
+
+    /// Expected variance of the innovation of a `row` of `joint` that is not used, in units of the configured one.
+    #[inline(never)]
+    pub(super) fn innovation_variance(
+        &self,
+        config: &LearnerConfig<N, P>,
+        joint: usize,
+        limit: f32,
+        row: &JointEntries<P>,
+    ) -> Option<f32> {
+        let own = config.sigma.friction.get(joint)?;
+        let phi = row.scaled(own, &config.sigma.rigid, 1.0 / (config.noise * limit));
+        Some(self.filter.prediction_variance(joint, &phi) + self.variance.get(joint)?)
     }
 
     /// Step θ ← θ + σ gain step, in compensated sums [Kahan 1965].

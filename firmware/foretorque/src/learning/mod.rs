@@ -81,7 +81,7 @@ pub use conditioning::{
 };
 pub use config::LearnerConfig;
 pub use decision::{DECISION_CAPACITY, Decision, DecisionLog, Reason};
-pub use estimator::{Correction, Estimator, torque_row};
+pub use estimator::{Estimator, torque_row};
 pub use exchange::{
     Exchange, LearnerReport, LearningSample, MotionRange, Publication, Request, RequestPending,
 };

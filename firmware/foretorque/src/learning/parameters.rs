@@ -185,6 +185,22 @@ impl<const P: usize> JointEntries<P> {
         dot(&self.rigid, &parameters.rigid)
     }
 
+    /// Entries in units of the standard deviations `own` and `rigid` and of the noise.
+    #[inline(never)]
+    pub(super) fn scaled(
+        &self,
+        own: &[f32; FRICTION_COLUMNS],
+        rigid: &[f32; P],
+        inv_noise: f32,
+    ) -> Self {
+        let mut phi = *self;
+        let own = phi.own.iter_mut().zip(own);
+        for (phi, sigma) in own.chain(phi.rigid.iter_mut().zip(rigid)) {
+            *phi *= sigma * inv_noise;
+        }
+        phi
+    }
+
     /// Scale the cogging columns by the gain `attenuation` of the motion filter.
     ///
     /// * returns the torque of the removed part as commanded by the friction `active`, N·m: it is in the measured torque, but

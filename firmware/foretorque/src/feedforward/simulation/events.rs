@@ -265,6 +265,64 @@ fn a_lasting_force_that_was_learnt_is_out_of_the_torque_soon_after_its_end() {
     assert!(before < 0.2 && (share(&cell) - before).abs() < 0.1);
 }
 
+/// A body that is picked up in the last moment of a motion is no change that lasts: the test waits for the next motion.
+#[test]
+fn a_payload_test_waits_for_motion() {
+    let mut cell = Cell::settled();
+    cell.plant.play(cell.tick, false);
+    cell.steps(100);
+    cell.plant.body += cube(3.0);
+    cell.steps(4200);
+    let resting = cell.decisions();
+    assert!(!has(&resting, Reason::Relearning), "{resting:?}");
+    cell.plant.play(cell.tick, true);
+    cell.steps(1000);
+    let moving = cell.decisions();
+    assert!(!has(&moving, Reason::Relearning), "{moving:?}");
+    let promoted = [&resting, &moving].map(|them| has(them, Reason::Promoted));
+    assert!(promoted != [false; 2], "{resting:?} {moving:?}");
+}
+
+/// Time passes at rest, but nothing is learnt again.
+#[test]
+fn relearning_lasts_for_five_seconds_of_motion() {
+    let mut cell = Cell::settled();
+    cell.plant.push[2] = 30.0;
+    cell.steps(4000);
+    let phase = |cell: &Cell| cell.board.learner.state().report.quality.phase;
+    assert_eq!(phase(&cell), Phase::Relearning);
+    cell.plant.play(cell.tick, false);
+    cell.steps(8000);
+    assert_eq!(phase(&cell), Phase::Relearning);
+    cell.plant.play(cell.tick, true);
+    cell.steps(5500);
+    assert_eq!(phase(&cell), Phase::Healthy);
+}
+
+/// A loaded network that is right is not learnt a second time by the linear parameters.
+#[test]
+fn what_a_network_gives_is_not_added_again() {
+    let mut cell = Cell::settled();
+    let mut set = *cell.board.active();
+    set.network[2].output_bias[0] = -0.05;
+    let limit = f64::from(Ur5::LIMITS[2].torque);
+    let board = &mut cell.board;
+    board.feedforward.load(set, &mut board.exchange);
+    cell.plant.push[2] = 0.05 * limit;
+    let mut worst = 0.0f64;
+    for _ in 0..20 {
+        let mut sum = 0.0;
+        for _ in 0..1000 {
+            let (sample, torque) = cell.step();
+            let arm = loaded_torque(&cell.plant.body, &sample.desired, cell.plant.drive);
+            sum += (f64::from(torque.total[2]) / limit - arm[2] / limit + 0.05).abs();
+        }
+        worst = worst.max(sum / 1000.0);
+    }
+    let decisions = cell.decisions();
+    assert!(worst < 0.02, "{worst} {decisions:?}");
+}
+
 #[test]
 fn a_rollback_under_a_payload_outlasts_its_release() {
     let mut cell = Cell::settled();

@@ -157,6 +157,9 @@ struct Plant {
     body: BaseParameters<P>,
     /// Torque from outside, N·m; positive accelerates +q.
     push: [f64; N],
+    /// Rate at which the trajectory is played, and the one it goes to within 0.3 s; its time, s.
+    rate: [f64; 2],
+    time: f64,
 }
 
 impl Plant {
@@ -167,12 +170,41 @@ impl Plant {
             drive,
             body: Ur5::NOMINAL.into(),
             push: [0.0; N],
+            rate: [1.0; 2],
+            time: 0.0,
         }
+    }
+
+    /// Motion of `tick`; after a stop, that of the time played so far.
+    fn desired(&mut self, tick: u32) -> JointMotion<N> {
+        let [rate, wanted] = self.rate;
+        if [rate, wanted] == [1.0; 2] && self.time == 0.0 {
+            return self.trajectory.motion(f64::from(tick) * PERIOD);
+        }
+        let growth = ((wanted - rate) / PERIOD).clamp(-1.0 / 0.3, 1.0 / 0.3);
+        let rate = rate + growth * PERIOD;
+        self.rate[0] = rate;
+        self.time += rate * PERIOD;
+        let motion = self.trajectory.motion(self.time);
+        let qdd = motion.qdd * (rate * rate) as f32 + motion.qd * growth as f32;
+        JointMotion {
+            q: motion.q,
+            qd: motion.qd * rate as f32,
+            qdd,
+        }
+    }
+
+    /// Play the trajectory from the time of `tick` on, to a stop or on from one.
+    fn play(&mut self, tick: u32, plays: bool) {
+        if self.time == 0.0 {
+            self.time = f64::from(tick) * PERIOD;
+        }
+        self.rate[1] = f64::from(u8::from(plays));
     }
 
     fn sample(&mut self, tick: u32) -> JointSample<N> {
         let encoder = core::f64::consts::TAU / 131_072.0;
-        let desired = self.trajectory.motion(f64::from(tick) * PERIOD);
+        let desired = self.desired(tick);
         let tau = loaded_torque(&self.body, &desired, self.drive);
         let push = self.push;
         let noisy = |j: usize, noise: &mut Random| {

@@ -230,7 +230,7 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
 }
 
 #[test]
-fn friction_prediction_variance_is_that_of_a_friction_row() {
+fn prediction_variance_is_that_of_a_row() {
     let mut filter = UdFilter::<N, P>::new();
     let mut gain = LinearParameters::filled(0.0);
     let mut random = Random(3);
@@ -240,9 +240,10 @@ fn friction_prediction_variance_is_that_of_a_friction_row() {
         filter.update(joint, &row, 1.0, &mut gain);
     }
     for joint in 0..N {
-        let mut phi = LinearParameters::filled(0.0);
+        let (mut phi, _) = row_and_torque(700 + joint as u32, joint, &mut random);
         phi.friction[joint] = friction_row(202.0, 0.4, 0.7, 2.0);
-        let predicted = filter.friction_prediction_variance(joint, &phi.friction[joint]);
+        let entries = phi.of_joint(joint).unwrap();
+        let predicted = filter.prediction_variance(joint, &entries);
         let variance = { filter }.update(joint, &phi, 1.0, &mut gain);
         assert!(predicted > 1e-3, "{joint}: {predicted}");
         let error = (variance - 1.0 - predicted).abs();

@@ -11,6 +11,7 @@ use crate::joint::JointVector;
 use crate::learning::change_detection::Block;
 use crate::learning::conditioning::{AVERAGED, ConditionedSample};
 use crate::learning::estimator::joint_friction_row;
+use crate::learning::parameters::JointEntries;
 use crate::learning::payload::{payload_row, payload_torque};
 use crate::learning::quality::Phase;
 use crate::learning::supervisor::payload_test::PayloadDecision;
@@ -28,14 +29,14 @@ const FRICTION_CORRELATION: f32 = 2.0 / 3.0;
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of learning: average the block, process one joint of the last block, learn one row of `joint`.
     ///
-    /// * returns the torque change of the joint by the next share and set, in units of its limit; `None` if it is unknown
+    /// * returns the torque changes of the joint by the next share and set, in units of its limit; `None` if they are unknown
     #[inline(never)]
     pub(super) fn process_sample(
         &mut self,
         tick: u32,
         joint: usize,
         sample: &ConditionedSample<N>,
-    ) -> Option<f32> {
+    ) -> Option<[f32; 2]> {
         let pose = Pose::of::<A, P>(&sample.motion.q);
         let plausible = is_plausible::<A, N, P>(sample, self.config.acceleration_limit);
         let Some(pose) = pose.filter(|_| plausible) else {
@@ -55,12 +56,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             supervisor.pending_block = (turn + 1 < N).then_some((block, turn + 1));
             self.process_block(tick, turn, &block);
             if turn + 1 == N {
-                self.decide(tick);
+                self.decide(tick, &block);
             }
         }
         if self.only_joint.is_some_and(|only| only != joint) {
             // The torque of the other joints is not used, so its step does not limit following.
-            return Some(0.0);
+            return Some([0.0; 2]);
         }
         self.learn_row(tick, joint, sample, &pose)
     }
@@ -181,30 +182,38 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         block: &Block<N>,
         load: &JointVector<N>,
     ) -> f32 {
-        let (Some(mut phi), Some(sigma), Some(limits)) = (
+        let (Some(own), Some(sigma), Some(limits)) = (
             joint_friction_row::<A, N, P>(joint, load, &block.motion),
             self.config.sigma.friction.get(joint),
             A::limits().get(joint),
         ) else {
             return 0.0;
         };
-        let inverse = 1.0 / (self.config.noise * limits.torque);
-        for (phi, sigma) in phi.iter_mut().zip(sigma) {
-            *phi *= sigma * inverse;
-        }
-        let filter = self.state.estimate.filter();
-        filter.friction_prediction_variance(joint, &phi)
+        let row = JointEntries {
+            own,
+            ..JointEntries::ZERO
+        };
+        let phi = row.scaled(sigma, &row.rigid, 1.0 / (self.config.noise * limits.torque));
+        self.state
+            .estimate
+            .filter()
+            .prediction_variance(joint, &phi)
     }
 
     /// Decision after the last joint of a block: end of the payload test; update of the payload in the torque.
     #[inline(never)]
-    fn decide(&mut self, tick: u32) {
+    fn decide(&mut self, tick: u32, block: &Block<N>) {
         let config = &self.config.supervisor;
         let phase = self.state.phase();
-        if !matches!(phase, Phase::PayloadTest | Phase::Healthy) {
+        let supervisor = &mut self.state.supervisor;
+        supervisor.payload_benefit.end_block(config.lasting_blocks);
+        // Of an arm at rest nothing can be learnt: the test waits for its motion.
+        let of_joint = self.only_joint.and_then(|joint| block.moving.get(joint));
+        let moving = of_joint.map_or(block.moving.contains(&true), |moving| *moving);
+        let waits = phase == Phase::PayloadTest && !moving;
+        if waits || !matches!(phase, Phase::PayloadTest | Phase::Healthy) {
             return;
         }
-        let supervisor = &mut self.state.supervisor;
         let (mut usual, mut known) = (0.0, 0.0);
         let joints = supervisor.block_variance.iter();
         for ((square, blocks), measured) in joints.zip(self.state.estimate.variance()) {
@@ -231,7 +240,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             }
             if carries_payload {
                 supervisor.blocks_carried = supervisor.blocks_carried.saturating_add(1);
-                supervisor.payload_benefit.end_block(config.lasting_blocks);
             }
             if !decision.is_some_and(PayloadDecision::is_change) {
                 let test = &mut supervisor.payload_test;

@@ -4,7 +4,7 @@ mod transitions;
 
 use crate::arm::Arm;
 use crate::learning::ConfigError;
-use crate::learning::conditioning::MeasurementWindow;
+use crate::learning::conditioning::{MAX_BRIDGED, MeasurementWindow};
 use crate::learning::config::LearnerConfig;
 use crate::learning::decision::{Decision, Reason};
 use crate::learning::estimator::Estimator;
@@ -67,6 +67,8 @@ pub struct LearnerState<const N: usize, const P: usize> {
     commit_due: bool,
     /// True if parameters were restored in this round; the round publishes them as they are.
     restored: bool,
+    /// True if a row was learnt in this round.
+    moves: bool,
     window: MeasurementWindow<N>,
     next_tick: u32,
     closed_round: Option<u32>,
@@ -76,8 +78,9 @@ pub struct LearnerState<const N: usize, const P: usize> {
     frozen: Option<Reason>,
     /// Ticks until a freeze ends: its measurements have to leave the window.
     resume_in: u32,
-    /// Torque change of each joint by a new share and set in this round, in units of the torque limit; `None` if unknown.
-    round_steps: [Option<f32>; N],
+    /// Torque change of each joint by a new share and by a new set in this round, in units of the torque limit; `None` if
+    /// unknown.
+    round_steps: [Option<[f32; 2]>; N],
     /// Expected variance of each joint's last innovation, in units of the configured noise.
     innovation_variance: [f32; N],
 }
@@ -130,6 +133,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 snapshot: None,
                 commit_due: false,
                 restored: false,
+                moves: false,
                 window: MeasurementWindow::new(config.decimation),
                 next_tick: 0,
                 closed_round: None,
@@ -252,6 +256,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// joint's network three times.
     #[inline(never)]
     pub fn study(&mut self, sample: &LearningSample<N>) {
+        // A few lost samples are missing measurements.
+        for _ in 0..MAX_BRIDGED {
+            if sample.tick != self.state.next_tick {
+                self.state.window.push(None);
+                self.state.next_tick = LearningSample::<N>::tick_after(self.state.next_tick);
+            }
+        }
         if sample.tick != self.state.next_tick {
             self.state.window.reset();
         }
@@ -329,6 +340,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         state.snapshot = None;
         state.commit_due = false;
         state.restored = false;
+        state.moves = false;
         state.report.quality = ModelQuality::new();
         state.closed_round = None;
         state.frozen = None;

@@ -47,7 +47,7 @@ struct JointRow<'a, const P: usize> {
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Learn one row of `joint` and count its outcome.
     ///
-    /// * returns the torque change of the joint by the next share and set, in units of its limit; `None` if it is unknown
+    /// * returns the torque changes of the joint by the next share and set, in units of its limit; `None` if they are unknown
     #[inline(never)]
     pub(super) fn learn_row(
         &mut self,
@@ -55,7 +55,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         joint: usize,
         sample: &ConditionedSample<N>,
         pose: &Pose<N>,
-    ) -> Option<f32> {
+    ) -> Option<[f32; 2]> {
         let (outcome, step) = self.row(tick, joint, sample, pose);
         let statistics = &mut self.state.statistics;
         increment(match outcome {
@@ -75,7 +75,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         joint: usize,
         sample: &ConditionedSample<N>,
         pose: &Pose<N>,
-    ) -> (RowOutcome, Option<f32>) {
+    ) -> (RowOutcome, Option<[f32; 2]>) {
         let (Some(limits), Some(&qd), Some(&tau)) = (
             A::limits().get(joint),
             sample.motion.qd.get(joint),
@@ -119,8 +119,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let before = supervisor.learnt.share.joint.get(joint).copied();
         let (before, after) = (before.unwrap_or_default(), self.share(joint));
         let largest = if after > before { after } else { before };
-        let step = (after - before).abs() * learnt.abs() + largest * (estimated - learnt).abs();
-        (outcome, Some(step * inv_limit))
+        let by_share = (after - before).abs() * learnt.abs();
+        let by_set = largest * (estimated - learnt).abs();
+        (outcome, Some([by_share * inv_limit, by_set * inv_limit]))
     }
 
     /// Use the row of a moving joint: quality always; estimate, evidence, network and range while learning.
@@ -164,9 +165,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             of_arm: !paused,
         };
         self.train_network(row.tick, joint, &network_row);
-        if paused {
-            return RowOutcome::Frozen;
-        }
         let state = &mut self.state;
         let Some(active) = state.active.friction.get(joint) else {
             return RowOutcome::Rejected;
@@ -176,17 +174,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let commanded = columns.attenuate_cogging(gain, active);
         let tau = row.tau - row.payload - commanded;
         let estimate = &mut state.estimate;
-        let Some(correction) =
-            estimate.correct_joint(&self.config, joint, row.limit, &columns, tau)
+        let (config, limit) = (&self.config, row.limit);
+        let variance = match paused {
+            true => estimate.innovation_variance(config, joint, limit, &columns),
+            false => estimate.correct_joint(config, joint, limit, &columns, tau),
+        };
+        let (Some(variance), Some(slot)) = (variance, state.innovation_variance.get_mut(joint))
         else {
             return RowOutcome::Rejected;
         };
-        if let Some(slot) = state.innovation_variance.get_mut(joint) {
-            *slot = correction.variance;
+        *slot = variance;
+        if paused {
+            return RowOutcome::Frozen;
         }
         let loaded = columns.friction_dot(joint, &state.supervisor.loaded) + row.loaded;
         let older = &state.supervisor.checkpoints[1].estimate;
         let older = columns.friction_dot(joint, older) + columns.rigid_dot(older);
+        // The network is in the torque, beside the learnt part of the linear parameters.
+        let tau = tau - network * row.limit;
         let torques = [tau, loaded, tau - older];
         let torques = torques.map(|torque| torque * inv_limit);
         let memory_s = self.config.supervisor.share_memory_s;
@@ -195,6 +200,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         evidence.add_row(joint, row.qd, torques, sigma, memory);
         increment(&mut state.supervisor.rows);
         grow(&mut self.state.range, &sample.motion.qd, &sample.motion.qdd);
+        self.state.moves = true;
         RowOutcome::Accepted
     }
 

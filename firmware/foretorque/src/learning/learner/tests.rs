@@ -118,13 +118,51 @@ fn flagged_ticks_freeze_learning_for_a_window() {
 }
 
 #[test]
-fn a_lost_sample_is_a_gap() {
+fn few_lost_samples_are_missing_measurements_and_many_a_gap() {
+    let lost = MAX_BRIDGED as u32;
+    for (lost, incomplete) in [(1, 0), (lost, 0), (lost + 1, 30)] {
+        let mut learner = learner();
+        learn_ticks(&mut learner, 0..60, true);
+        let before = learner.state.statistics;
+        learn_ticks(&mut learner, 60 + lost..90 + lost, true);
+        let after = learner.state.statistics;
+        assert_eq!(after.accepted, before.accepted + 30 - incomplete, "{lost}");
+        assert_eq!(after.incomplete, before.incomplete + incomplete, "{lost}");
+    }
+}
+
+/// The share of a joint whose torque hardly changes goes all the way while that of another takes a bounded step.
+#[test]
+fn no_joint_stops_the_share_of_another() {
+    for moves_set in [false, true] {
+        let mut learner = learner();
+        let most = learner.config.torque_step;
+        learner.state.supervisor.learnt.share.joint = [1.0; N];
+        learner.state.round_steps = [Some([0.0; 2]); N];
+        learner.state.round_steps[0] = Some([0.4 * most, 0.4 * most]);
+        learner.state.round_steps[5] = Some([30.0 * most, 30.0 * most]);
+        learner.follow(moves_set);
+        let share = learner.state.supervisor.learnt.share.joint;
+        let left = if moves_set {
+            1.0 - 0.5 / 30.0
+        } else {
+            1.0 - 1.0 / 30.0
+        };
+        assert_eq!(share[0], 0.0);
+        assert!((share[5] - left).abs() < 1e-6, "{moves_set} {share:?}");
+    }
+}
+
+#[test]
+fn the_prediction_variance_follows_the_motion_while_the_estimate_pauses() {
     let mut learner = learner();
-    learn_ticks(&mut learner, 0..60, true);
-    let before = learner.state.statistics;
-    learn_ticks(&mut learner, 61..91, true);
-    assert_eq!(learner.state.statistics.accepted, before.accepted);
-    assert_eq!(learner.state.statistics.incomplete, before.incomplete + 30);
+    learn_ticks(&mut learner, 0..600, true);
+    learner.state.supervisor.carries_payload = true;
+    let before = learner.state.innovation_variance;
+    learn_ticks(&mut learner, 600..660, true);
+    for (before, now) in before.iter().zip(learner.state.innovation_variance) {
+        assert!((before - now).abs() > 1e-3 * before, "{before} {now}");
+    }
 }
 
 #[test]

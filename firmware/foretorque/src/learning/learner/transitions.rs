@@ -106,17 +106,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 supervisor.payload_benefit = PayloadBenefit::NONE;
                 supervisor.carries_payload = true;
             }
-            Action::Release => state.release_payload(),
+            Action::Release => state.release_payload(&self.config),
             Action::Relearn => {
                 let supervisor = &mut state.supervisor;
                 supervisor.next_raised = 0;
                 // The change under a payload is learnt.
                 let carried = supervisor.blocks_carried;
                 supervisor.blocks_carried = carried.max(self.config.supervisor.pause_blocks);
-                // As much as one block of correlated rows.
-                let memory_s = self.config.supervisor.share_memory_s;
                 let evidence = &mut state.supervisor.learnt.evidence;
-                evidence.fade(self.config.correlation_s / memory_s);
+                evidence.fade(self.config.lasting_part());
                 state.record(tick, Reason::Relearning, None, 0.0);
             }
             Action::Resume => {}
@@ -182,6 +180,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     pub(super) fn close_round(&mut self, tick: u32) {
         let state = &mut self.state;
         let restored = core::mem::take(&mut state.restored);
+        let moves = core::mem::take(&mut state.moves);
         let known = !restored && state.round_steps.iter().all(Option::is_some);
         if state.phase().learns() && known {
             state.raise_friction_variance(self.config.supervisor.raised_variance);
@@ -192,6 +191,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             let known = supervisor.rows >= self.config.supervisor.training_rows;
             let evidence = Evidence::Round(Round {
                 ticks: N as u32,
+                moves,
                 share: learnt.common(&shares),
                 reversed: known && learnt.is_reversed(),
                 carries_payload: supervisor.carries_payload,
@@ -212,31 +212,40 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Move the shares towards their evidence, and with `moves_set` the learnt set towards the estimate, so that no joint's
     /// torque changes by more than `torque_step`.
     ///
-    /// Torque is linear in the set and in the share, so a part of the way is at most the same part of the torque step.
-    fn follow(&mut self, moves_set: bool) {
+    /// Torque is linear in the set and in the share, so a part of the way is at most the same part of the torque step. All
+    /// joints move with the set, but none stops the share of another.
+    pub(super) fn follow(&mut self, moves_set: bool) {
         let shares = self.shares();
         let state = &mut self.state;
-        let mut largest = 0.0;
-        for step in state.round_steps.iter().flatten() {
+        let most = self.config.torque_step;
+        let mut largest = most;
+        for &[by_share, by_set] in state.round_steps.iter().flatten() {
+            let step = by_share + by_set;
             if !step.is_finite() {
                 return;
             }
-            if *step > largest {
-                largest = *step;
+            if step > largest {
+                largest = step;
             }
         }
+        // Part of the way of the set.
+        let part = if moves_set { most / largest } else { 0.0 };
         let learnt = &mut state.supervisor.learnt;
-        // Part of the way that is left.
-        let rest = if largest > self.config.torque_step {
-            1.0 - self.config.torque_step / largest
-        } else {
-            0.0
-        };
-        blend(&shares, &mut learnt.share.joint, rest);
+        let joints = learnt.share.joint.iter_mut().zip(&shares);
+        for ((own, share), steps) in joints.zip(&state.round_steps) {
+            let [by_share, by_set] = steps.unwrap_or_default();
+            let left = most - part * by_set;
+            let way = share - *own;
+            *own = if by_share > left {
+                *own + way * left / by_share
+            } else {
+                *share
+            };
+        }
         if moves_set {
             let estimate = state.estimate.parameters().parts();
             for (learnt, estimate) in learnt.set.parts_mut().into_iter().zip(estimate) {
-                blend(estimate, learnt, rest);
+                blend(estimate, learnt, 1.0 - part);
             }
         }
         learnt.share.rigid = learnt.evidence.common(&learnt.share.joint);
@@ -293,7 +302,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     /// Remove the payload and restore the rigid-body parameters of before it, bit for bit.
     ///
     /// Friction stays: it changes only under a payload carried for long, and drives warm up with any load.
-    fn release_payload(&mut self) {
+    fn release_payload(&mut self, config: &LearnerConfig<N, P>) {
         let supervisor = &mut self.supervisor;
         supervisor.payload = NO_PAYLOAD;
         supervisor.payload_base.fill(0.0);
@@ -303,6 +312,10 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let before = &mut supervisor.before_payload;
         before.estimate.friction = self.estimate.parameters().friction;
         before.learnt.set.friction = supervisor.learnt.set.friction;
+        if supervisor.blocks_carried >= config.supervisor.pause_blocks {
+            // The evidence is that for the friction of before.
+            before.learnt.evidence.fade(config.lasting_part());
+        }
         // A set committed on request contains part of the payload.
         self.commit_due |= before.learnt.set.rigid != supervisor.learnt.set.rigid;
         supervisor.checkpoints[1] = *before;

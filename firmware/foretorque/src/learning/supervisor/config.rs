@@ -39,8 +39,8 @@ pub struct SupervisorConfig {
     pub commit_ticks: u32,
     /// Common share above which the active set counts as following the estimate, and below which it ceases to.
     pub following_share: (f32, f32),
-    /// Ticks between two checkpoints, 0.128 s; an alarm returns to one between one and two such times old, which is longer than the
-    /// delay of change detection.
+    /// Ticks between two checkpoints, 12.8 blocks, which are 0.128 s; an alarm returns to one between one and two such times old,
+    /// which is longer than the delay of change detection.
     pub checkpoint_ticks: u32,
     /// Variance added to each friction parameter after a change that is no payload, in units of the prior variance.
     pub raised_variance: f32,
@@ -114,7 +114,7 @@ impl SupervisorConfig {
             relearning_ticks: (5.0 * inv_period) as u32,
             commit_ticks: (8.0 * inv_period) as u32,
             following_share: (0.5, 0.25),
-            checkpoint_ticks: (0.128 * inv_period + 0.5) as u32,
+            checkpoint_ticks: (12.8 * block_ticks as f32) as u32,
             raised_variance: 0.05,
             pause_blocks: blocks(30.0),
             training_rows: 4096,

@@ -157,11 +157,9 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             && !self.payload_test.may_be_empty()
     }
 
-    /// True if the payload makes the torque worse, after as many blocks as an error of the estimate lasts.
+    /// True if the payload makes the torque worse, after as many blocks of motion as an error of the estimate lasts.
     pub(super) fn payload_costs(&self, config: &SupervisorConfig) -> bool {
-        self.carries_payload
-            && self.blocks_carried > config.lasting_blocks
-            && self.payload_benefit.is_cost()
+        self.carries_payload && self.payload_benefit.is_cost(config.lasting_blocks)
     }
 
     /// True if the estimate pauses under a payload, or with evidence for one.

@@ -65,6 +65,10 @@ pub(crate) struct PayloadBenefit {
     /// Σ d r and Σ d², faded.
     cross: f32,
     power: f32,
+    /// Blocks with rows.
+    blocks: u32,
+    /// True with rows in the present block.
+    moves: bool,
 }
 
 impl PayloadBenefit {
@@ -72,6 +76,8 @@ impl PayloadBenefit {
     pub(crate) const NONE: Self = Self {
         cross: 0.0,
         power: 0.0,
+        blocks: 0,
+        moves: false,
     };
 
     /// Add a row, in units of the torque limit.
@@ -80,18 +86,22 @@ impl PayloadBenefit {
     pub(crate) fn add_row(&mut self, payload: f32, lacking: f32) {
         self.cross += payload * lacking;
         self.power += payload * payload;
+        self.moves = true;
     }
 
-    /// End of a block; `memory` of the sums, blocks.
+    /// End of a block; `memory` of the sums, blocks of motion: at rest nothing is forgotten.
     pub(crate) fn end_block(&mut self, memory: u32) {
-        let fade = 1.0 - 1.0 / memory as f32;
-        self.cross *= fade;
-        self.power *= fade;
+        if core::mem::take(&mut self.moves) {
+            let fade = 1.0 - 1.0 / memory as f32;
+            self.cross *= fade;
+            self.power *= fade;
+            self.blocks = self.blocks.saturating_add(1);
+        }
     }
 
-    /// True if the torques are nearer to those without the payload.
-    pub(crate) fn is_cost(&self) -> bool {
-        self.cross < 0.5 * self.power
+    /// True if the torques of at least `memory` blocks are nearer to those without the payload.
+    pub(crate) fn is_cost(&self, memory: u32) -> bool {
+        self.blocks > memory && self.cross < 0.5 * self.power
     }
 }
 

@@ -58,6 +58,8 @@ pub(crate) enum Evidence {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Round {
     pub(crate) ticks: u32,
+    /// True if a row was learnt in it.
+    pub(crate) moves: bool,
     /// Common share by the evidence.
     pub(crate) share: f32,
     pub(crate) reversed: bool,
@@ -158,7 +160,8 @@ pub(crate) fn step(
             Request::Stop => to(Phase::Stopped, Action::Restore, Reason::FrozenStopped, 0.0),
         },
         (Phase::Relearning, Evidence::Round(round)) => {
-            state.relearning_ticks = state.relearning_ticks.saturating_sub(round.ticks);
+            let learnt = if round.moves { round.ticks } else { 0 };
+            state.relearning_ticks = state.relearning_ticks.saturating_sub(learnt);
             if state.relearning_ticks == 0 {
                 state.phase = Phase::Healthy;
                 (Action::Resume, Some((Reason::RelearningEnded, round.share)))
@@ -243,6 +246,7 @@ mod tests {
     fn round(share: f32, reversed: bool, carries_payload: bool) -> Evidence {
         Evidence::Round(Round {
             ticks: 6,
+            moves: true,
             share,
             reversed,
             carries_payload,

@@ -25,23 +25,19 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         Some(own + weighted_squares(row.get(column..)?, diagonal.get(column..)?))
     }
 
-    /// Prediction variance φᵀPφ of the friction torque of `joint`, for the friction columns `phi`.
+    /// Prediction variance φᵀPφ of the torque of `joint`, for its row `phi`.
     ///
     /// ```text
     /// φᵀPφ = Σ D_j f_j²     f = Uᵀφ
     /// ```
     ///
-    /// Cost: `(FRICTION_COLUMNS + 2) (FRICTION_COLUMNS + P)` multiply-adds.
-    pub(in crate::learning) fn friction_prediction_variance(
+    /// Cost: that of Uᵀφ, and `2 (FRICTION_COLUMNS + P)` multiply-adds.
+    pub(in crate::learning) fn prediction_variance(
         &self,
         joint: usize,
-        phi: &[f32; FRICTION_COLUMNS],
+        phi: &JointEntries<P>,
     ) -> f32 {
-        let phi = JointEntries {
-            own: *phi,
-            ..JointEntries::ZERO
-        };
-        let f = self.transposed_times(joint, &phi);
+        let f = self.transposed_times(joint, phi);
         let Some(diagonal) = self.diagonal.friction.get(joint) else {
             return 0.0;
         };

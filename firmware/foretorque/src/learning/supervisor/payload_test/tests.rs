@@ -276,7 +276,7 @@ fn a_torque_at_rest_that_is_that_of_an_empty_hand_for_a_moment_is_forgotten_in_m
 
 #[test]
 fn a_payload_costs_when_the_torques_want_less_than_half_of_it() {
-    let after = |shares: &[f32]| {
+    let of = |shares: &[f32]| {
         let mut benefit = PayloadBenefit::NONE;
         for share in shares {
             for row in 0..1000 {
@@ -285,9 +285,17 @@ fn a_payload_costs_when_the_torques_want_less_than_half_of_it() {
                 benefit.end_block(500);
             }
         }
-        benefit.is_cost()
+        benefit
     };
-    assert!(!PayloadBenefit::NONE.is_cost() && !after(&[0.6]) && after(&[0.4]));
+    let after = |shares: &[f32]| of(shares).is_cost(500);
+    assert!(!PayloadBenefit::NONE.is_cost(500) && !after(&[0.6]) && after(&[0.4]));
     // What was long ago does not count.
     assert!(after(&[1.0, 1.0, 0.2]) && !after(&[0.0, 0.0, 0.8]));
+    // Nothing is forgotten at rest, and the first rows after it do not decide, neither do those after a promotion.
+    for mut benefit in [of(&[0.9]), PayloadBenefit::NONE] {
+        (0..3000).for_each(|_| benefit.end_block(500));
+        benefit.add_row(0.1, -0.1);
+        benefit.end_block(500);
+        assert!(!benefit.is_cost(500), "{benefit:?}");
+    }
 }
