@@ -270,7 +270,7 @@ fn a_lasting_force_that_was_learnt_is_out_of_the_torque_soon_after_its_end() {
 fn a_payload_test_waits_for_motion() {
     let mut cell = Cell::settled();
     cell.plant.play(cell.tick, false);
-    cell.steps(100);
+    cell.steps(200);
     cell.plant.body += cube(3.0);
     cell.steps(4200);
     let resting = cell.decisions();
