@@ -61,7 +61,7 @@ reasons! {
     FrozenStopped = 16, "frozen: emergency stop";
     /// Learning resumed after a freeze or an emergency stop.
     Resumed = 17, "learning resumed";
-    /// Relearning begins: the change is no payload. Friction is learnt again in the estimate only.
+    /// Relearning begins: the change is no payload. The estimate learns it.
     Relearning = 18, "relearning begins";
     /// Relearning ends; change detection restarts. Figure: the common learnt share by the evidence.
     RelearningEnded = 19, "relearning ends";

@@ -11,7 +11,7 @@ pub enum Phase {
     Healthy = 0,
     /// A change was detected: the active set is frozen during the payload test.
     PayloadTest = 1,
-    /// The change is no payload: friction is learnt again, in the estimate only.
+    /// The change is no payload: the estimate learns it, and the shares follow the evidence.
     Relearning = 2,
     /// Emergency stop: nothing is learnt.
     Stopped = 3,
