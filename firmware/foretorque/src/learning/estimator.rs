@@ -263,7 +263,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let inflated = config.noise_inflation * *measured;
         let total = self.filter.update_joint(joint, &phi, inflated, &mut gain);
         let variance = total - inflated + *measured;
-        if !(variance > 0.0 && variance.is_finite()) {
+        if !(variance > 0.0 && variance <= f32::MAX) {
             // The factors are lost; the covariance returns to the prior, the estimate stays.
             self.filter.reset();
             self.factors_added = 0;

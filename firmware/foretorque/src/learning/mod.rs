@@ -127,7 +127,7 @@ impl core::error::Error for ConfigError {}
 /// Check of named fields; the first one that is not positive and finite is the error.
 #[inline(never)]
 pub(crate) fn check_positive(fields: &[(&'static str, f32)]) -> Result<(), ConfigError> {
-    let is_bad = |value: f32| !(value > 0.0 && value.is_finite());
+    let is_bad = |value: f32| !(value > 0.0 && value <= f32::MAX);
     let bad = fields.iter().find(|(_, value)| is_bad(*value));
     bad.map_or(Ok(()), |(field, _)| Err(ConfigError::NotPositive(field)))
 }
