@@ -40,7 +40,7 @@ unsafe impl critical_section::Impl for Masked {
 
 static EXCHANGE: Mutex<RefCell<Exchange>> = Mutex::new(RefCell::new(Exchange::new()));
 /// On the stack there is no room for a learner.
-static LEARNER: Mutex<RefCell<Learner>> = Mutex::new(RefCell::new(Learner::EMPTY));
+static mut LEARNER: Learner = Learner::EMPTY;
 
 /// Entry of the linker's default script.
 #[unsafe(no_mangle)]
@@ -53,20 +53,24 @@ fn run() -> Option<()> {
     let set = ParameterSet::nominal::<Panda>(1);
     let config = FeedForwardConfig::for_arm::<Panda, _>(1e-3);
     let mut feed_forward = FeedForward::new(config, set).ok()?;
-    let learner = LearnerConfig::for_arm::<Panda>(1e-3);
-    critical_section::with(|token| LEARNER.borrow_ref_mut(token).restart(learner, &set)).ok()?;
+    // SAFETY: this function runs once, and nothing else uses the static.
+    let learner = unsafe { &mut *(&raw mut LEARNER) };
+    let configured = learner.restart(LearnerConfig::for_arm::<Panda>(1e-3), &set);
+    configured.ok()?;
     loop {
         let sample = black_box(JointSample {
             desired: JointMotion::zero(),
             measured: None,
         });
+        critical_section::with(|token| feed_forward.adopt(&mut EXCHANGE.borrow_ref_mut(token)));
+        black_box(feed_forward.step(&sample));
+        // Interrupts are masked for two copies only, not while it studies.
+        let sample = feed_forward.learning_sample(sample.measured);
         critical_section::with(|token| {
-            let exchange = &mut *EXCHANGE.borrow_ref_mut(token);
-            let mut learner = LEARNER.borrow_ref_mut(token);
-            feed_forward.adopt(exchange);
-            black_box(feed_forward.step(&sample));
-            learner.learn(&feed_forward.learning_sample(sample.measured), exchange);
+            learner.collect(&sample, &mut EXCHANGE.borrow_ref_mut(token))
         });
+        learner.study(&sample);
+        critical_section::with(|token| learner.publish(&mut EXCHANGE.borrow_ref_mut(token)));
     }
 }
 
