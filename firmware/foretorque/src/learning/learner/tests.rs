@@ -151,6 +151,15 @@ fn no_joint_stops_the_share_of_another() {
         assert_eq!(share[0], 0.0);
         assert!((share[5] - left).abs() < 1e-6, "{moves_set} {share:?}");
     }
+    // The set may take all of the step, or by rounding a little more.
+    for part in 1..1000 {
+        let mut learner = learner();
+        learner.state.round_steps = [Some([0.0; 2]); N];
+        learner.state.round_steps[1] = Some([0.0, 1.37e-3 * part as f32]);
+        learner.follow(true);
+        let share = learner.state.supervisor.learnt.share.joint;
+        assert_eq!(share, [0.0; N], "{part}");
+    }
 }
 
 #[test]

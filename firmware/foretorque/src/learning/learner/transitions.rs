@@ -234,7 +234,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let joints = learnt.share.joint.iter_mut().zip(&shares);
         for ((own, share), steps) in joints.zip(&state.round_steps) {
             let [by_share, by_set] = steps.unwrap_or_default();
-            let left = most - part * by_set;
+            // Rounding must leave no part below zero.
+            let left = (most - part * by_set).max(0.0);
             let way = share - *own;
             *own = if by_share > left {
                 *own + way * left / by_share
