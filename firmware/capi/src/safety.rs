@@ -77,7 +77,7 @@ pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> For
             it.safety.torque_off(fault);
             it.feed_forward.applied(it.safety.output());
             // The data that led to it may not be fit to learn from. The stop replaces a request that still waits.
-            if fault == SafetyReason::Stopped && it.feed_forward.state().learning {
+            if fault == SafetyReason::Stopped {
                 it.feed_forward
                     .request_over(Request::Stop, &mut it.exchange);
             }

@@ -273,6 +273,31 @@ fn an_emergency_stop_ends_learning_too() {
 }
 
 #[test]
+fn an_emergency_stop_replaces_a_request_that_waits() {
+    for (reason, taken) in [(3, false), (13, true)] {
+        let mut program = Program::armed();
+        let it = program.it;
+        // SAFETY: `it` lives.
+        unsafe {
+            assert_eq!(foretorque_request(it, 1), ForetorqueStatus::Ok);
+            foretorque_stop(it, reason);
+        }
+        (0..100).for_each(|tick| program.swing(tick));
+        let made = program.written(foretorque_quality).decisions;
+        let snapshot = (0..made).any(|number| {
+            let mut out = MaybeUninit::<ForetorqueDecision>::uninit();
+            // SAFETY: `it` lives; written before it is read.
+            unsafe {
+                let status = foretorque_decision(it, number, out.as_mut_ptr());
+                status == ForetorqueStatus::Ok
+                    && out.assume_init().reason == Reason::SnapshotTaken as u8
+            }
+        });
+        assert_eq!(snapshot, taken, "reason {reason}");
+    }
+}
+
+#[test]
 fn the_learner_tells_its_state_and_takes_requests() {
     use ForetorqueStatus::{NoDecision, Null, Ok, Pending, Request};
     let mut program = Program::new();

@@ -201,6 +201,14 @@ pub fn tanh_1_5_15(x: f32) -> [f32; 3] {
     })
 }
 
+/// Integer nearest to `x`, halves away from zero; saturates, and is 0 for NaN.
+pub fn nearest(x: f32) -> i32 {
+    // Beyond 2^23 every f32 is an integer, and adding a half could round to the neighbour.
+    let half = if x.abs() < 8_388_608.0 { 0.5 } else { 0.0 };
+    // The cast truncates and saturates.
+    (x + half * x.signum()) as i32
+}
+
 /// Square root of `x`.
 ///
 /// `y ≈ 1/√x` from the halved exponent, three steps `y ← y (3 − x y²) / 2` (Newton), `√x = x y`.

@@ -1,6 +1,6 @@
 //! bxCAN of the STM32F405: two controllers for classic frames, with bounded waits. Source: RM0090, chapter 32.
 //!
-//! Frames leave in the order in which they are given, and every frame of the bus is received: CAN1 through filter bank 0,
+//! Frames leave in the order in which they are given, those that wait for too long are taken back, and every frame of the bus is received: CAN1 through filter bank 0,
 //! CAN2 through bank 14, both into FIFO 0. The banks of both belong to CAN1, so CAN1 starts first. The driver works on
 //! [`Registers`]; on the host a model of the peripheral stands in. It has not run on silicon.
 
@@ -56,6 +56,8 @@ const RTR: u32 = 1 << 1;
 const IDE: u32 = 1 << 2;
 /// Frames in FIFO 0.
 const FMP: u32 = 3;
+/// Takes the frame of transmit mailbox 0 back; the bits of the others are 8 bits on each.
+const ABRQ0: u32 = 1 << 7;
 const FOVR: u32 = 1 << 4;
 const RFOM: u32 = 1 << 5;
 const BOFF: u32 = 1 << 2;
@@ -67,15 +69,6 @@ const RQCP: u32 = 1 | 1 << 8 | 1 << 16;
 const FINIT: u32 = 1;
 /// First filter bank of CAN2.
 const CAN2_BANK: u32 = 14;
-
-/// Reason why a frame is not sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CanError {
-    /// All three mailboxes are waiting for the bus.
-    Full,
-    /// CAN-FD, or more than eight bytes.
-    NotClassic,
-}
 
 /// Bit timing register for `bit_s` from a peripheral clock of `clock_hz`, sample point 80 to 88 %.
 ///
@@ -98,7 +91,9 @@ pub const fn timing(clock_hz: u32, bit_s: u32) -> Option<u32> {
 
 /// Opens the filters of both controllers for every frame, into FIFO 0. `can1`: registers of CAN1, whose clock runs.
 pub fn open_filters(can1: &mut impl Registers) {
-    can1.write(offset::FMR, FINIT | CAN2_BANK << 8);
+    // The other bits are reserved and keep their values.
+    let others = can1.read(offset::FMR) & !(0x3f << 8 | FINIT) | CAN2_BANK << 8;
+    can1.write(offset::FMR, others | FINIT);
     let banks = 1 | 1 << CAN2_BANK;
     can1.write(offset::FS1R, banks);
     for bank in [0, CAN2_BANK as usize] {
@@ -107,13 +102,17 @@ pub fn open_filters(can1: &mut impl Registers) {
         can1.write(offset::F0R1 + 8 * bank + 4, 0);
     }
     can1.write(offset::FA1R, banks);
-    can1.write(offset::FMR, CAN2_BANK << 8);
+    can1.write(offset::FMR, others);
 }
 
 /// One started controller.
 #[derive(Debug)]
 pub struct Bxcan<R> {
     registers: R,
+    /// Counts since which the frames of the mailboxes wait.
+    since: [u32; 3],
+    /// Overruns of the FIFO: a frame each, or more.
+    overruns: u32,
 }
 
 impl<R: Registers> Bxcan<R> {
@@ -128,40 +127,23 @@ impl<R: Registers> Bxcan<R> {
         registers.write(offset::BTR, timing);
         registers.write(offset::MCR, TXFP | ABOM);
         registers.write(offset::IER, TMEIE | FMPIE0);
-        Some(Self { registers })
+        Some(Self {
+            registers,
+            since: [0; 3],
+            overruns: 0,
+        })
     }
 
-    /// Gives a frame to an empty mailbox. Errors: [`CanError::Full`], [`CanError::NotClassic`].
-    pub fn send(&mut self, frame: &Frame) -> Result<(), CanError> {
-        let bytes = frame.bytes();
-        if frame.fd || bytes.len() > 8 {
-            return Err(CanError::NotClassic);
-        }
-        let status = self.registers.read(offset::TSR);
-        let empty = (0..3).find(|mailbox| status & TME0 << mailbox != 0);
-        let base = offset::TI0R + 16 * empty.ok_or(CanError::Full)?;
-        let mut data = [0; 8];
-        for (to, from) in data.iter_mut().zip(bytes) {
-            *to = *from;
-        }
-        let [d0, d1, d2, d3, d4, d5, d6, d7] = data;
-        let low = u32::from_le_bytes([d0, d1, d2, d3]);
-        let high = u32::from_le_bytes([d4, d5, d6, d7]);
-        self.registers.write(base + 4, bytes.len() as u32);
-        self.registers.write(base + 8, low);
-        self.registers.write(base + 12, high);
-        let id = if frame.extended {
-            frame.id << 3 | IDE
-        } else {
-            frame.id << 21
-        };
-        let remote = if frame.remote { RTR } else { 0 };
-        self.registers.write(base, id | remote | TXRQ);
-        Ok(())
+    /// The controller takes no part in the bus: it has left it after too many errors, or has not seen it idle since the
+    /// start. It joins again by itself, after eleven recessive bits.
+    pub fn is_off(&self) -> bool {
+        let outside = self.registers.read(offset::MSR) & INAK != 0;
+        outside || self.registers.read(offset::ESR) & BOFF != 0
     }
+}
 
-    /// Oldest received frame.
-    pub fn receive(&mut self) -> Option<Frame> {
+impl<R: Registers> Port for Bxcan<R> {
+    fn receive(&mut self) -> Option<Frame> {
         let complete = self.registers.read(offset::TSR) & RQCP;
         if complete != 0 {
             self.registers.write(offset::TSR, complete);
@@ -169,6 +151,7 @@ impl<R: Registers> Bxcan<R> {
         let status = self.registers.read(offset::RF0R);
         if status & FOVR != 0 {
             self.registers.write(offset::RF0R, FOVR);
+            self.overruns = self.overruns.saturating_add(1);
         }
         if status & FMP == 0 {
             return None;
@@ -194,22 +177,55 @@ impl<R: Registers> Bxcan<R> {
         Some(frame)
     }
 
-    /// The controller takes no part in the bus: it has left it after too many errors, or has not seen it idle since the
-    /// start. It joins again by itself, after eleven recessive bits.
-    pub fn is_off(&self) -> bool {
-        let outside = self.registers.read(offset::MSR) & INAK != 0;
-        outside || self.registers.read(offset::ESR) & BOFF != 0
+    fn send(&mut self, frame: &Frame, since: u32) -> bool {
+        let bytes = frame.bytes();
+        if frame.fd || bytes.len() > 8 {
+            // What no classic bus can carry did not come from one: it must not stop the queue.
+            return true;
+        }
+        let status = self.registers.read(offset::TSR);
+        let mut mailboxes = self.since.iter_mut().enumerate();
+        let empty = mailboxes.find(|(mailbox, _)| status & TME0 << mailbox != 0);
+        let Some((mailbox, place)) = empty else {
+            return false;
+        };
+        *place = since;
+        let base = offset::TI0R + 16 * mailbox;
+        let mut data = [0; 8];
+        for (to, from) in data.iter_mut().zip(bytes) {
+            *to = *from;
+        }
+        let [d0, d1, d2, d3, d4, d5, d6, d7] = data;
+        let low = u32::from_le_bytes([d0, d1, d2, d3]);
+        let high = u32::from_le_bytes([d4, d5, d6, d7]);
+        self.registers.write(base + 4, bytes.len() as u32);
+        self.registers.write(base + 8, low);
+        self.registers.write(base + 12, high);
+        let id = if frame.extended {
+            frame.id << 3 | IDE
+        } else {
+            frame.id << 21
+        };
+        let remote = if frame.remote { RTR } else { 0 };
+        self.registers.write(base, id | remote | TXRQ);
+        true
     }
-}
 
-impl<R: Registers> Port for Bxcan<R> {
-    fn receive(&mut self) -> Option<Frame> {
-        Bxcan::receive(self)
-    }
-
-    fn send(&mut self, frame: &Frame) -> bool {
-        // What no classic bus can carry did not come from one: it must not stop the queue.
-        Bxcan::send(self, frame) != Err(CanError::Full)
+    fn expire(&mut self, now: u32, timeout: u32) -> u32 {
+        let status = self.registers.read(offset::TSR);
+        let mut late = 0;
+        for (mailbox, since) in self.since.iter().enumerate() {
+            let waits = status & TME0 << mailbox == 0;
+            if waits && now.wrapping_sub(*since) > timeout {
+                late |= ABRQ0 << (8 * mailbox);
+            }
+        }
+        // The bit stands until the mailbox is empty: a transmission that has begun ends first (RM0090 32.7.1).
+        late &= !status;
+        if late != 0 {
+            self.registers.write(offset::TSR, late);
+        }
+        core::mem::take(&mut self.overruns).saturating_add(late.count_ones())
     }
 }
 
@@ -265,8 +281,12 @@ mod tests {
     extern crate std;
 
     use super::*;
+    use foretorque_link::drives::in_line::Bridge;
     use std::collections::VecDeque;
     use std::vec::Vec;
+
+    /// Filter master after reset (RM0090 32.9.4).
+    const FMR_RESET: u32 = 0x2a1c_0e01;
 
     /// bxCAN after RM0090: state machine, mailboxes in order of request, FIFO of three, filters.
     #[derive(Default)]
@@ -284,6 +304,8 @@ mod tests {
         stuck: Option<u32>,
         polls: std::cell::Cell<u32>,
         second: bool,
+        /// Mailboxes whose frames were taken back.
+        aborted: u32,
     }
 
     impl Registers for Model {
@@ -296,6 +318,7 @@ mod tests {
                 offset::TSR => (0..3)
                     .filter(|mailbox| !self.pending.contains(mailbox))
                     .fold(0, |bits, mailbox| bits | TME0 << mailbox),
+                offset::FMR => *self.filters.get(&offset).unwrap_or(&FMR_RESET),
                 offset::RF0R => self.fifo.len() as u32 | if self.overrun { FOVR } else { 0 },
                 offset::ESR if self.off => BOFF,
                 offset::RI0R..=0x1bc => self
@@ -309,6 +332,11 @@ mod tests {
         fn write(&mut self, offset: usize, value: u32) {
             match offset {
                 offset::MCR => self.mcr = value,
+                offset::TSR => {
+                    let aborted = |mailbox: &usize| value & ABRQ0 << (8 * mailbox) != 0;
+                    self.pending.retain(|mailbox| !aborted(mailbox));
+                    self.aborted |= value & !RQCP;
+                }
                 // Only in initialisation.
                 offset::BTR if self.mcr & INRQ != 0 => self.btr = value,
                 offset::RF0R if value & RFOM != 0 => drop(self.fifo.pop_front()),
@@ -428,9 +456,9 @@ mod tests {
                 1 | 2 => Frame::extended(id, bytes),
                 _ => Frame::standard(id, bytes),
             };
-            match near.send(&frame) {
-                Ok(()) => sent.push_back(frame),
-                Err(error) => assert_eq!((error, sent.len()), (CanError::Full, 3)),
+            match near.send(&frame, 0) {
+                true => sent.push_back(frame),
+                false => assert_eq!(sent.len(), 3),
             }
             if !next().is_multiple_of(3)
                 && let Some(words) = near.registers.take_frame()
@@ -444,30 +472,66 @@ mod tests {
     }
 
     #[test]
+    fn the_reserved_bits_of_the_filters_stay() {
+        let (near, _) = pair();
+        let filters = near.registers.filter(offset::FMR);
+        assert_eq!(filters, FMR_RESET & !(FINIT | 0x3f << 8) | 14 << 8);
+    }
+
+    #[test]
+    fn no_old_frame_leaves_after_a_bus_without_acknowledgement() {
+        const TIMEOUT_MS: u32 = 20;
+        let (near, far) = pair();
+        let mut bridge = Bridge::<_, 1>::new([near, far], None, TIMEOUT_MS);
+        let (mut left, mut oldest) = (0, 0);
+        // The clock comes round meanwhile.
+        for ms in 0_u32..200 {
+            let now = ms.wrapping_sub(50);
+            for _ in 0..3 {
+                bridge.send(0, Frame::standard(1, &now.to_le_bytes()), now);
+            }
+            bridge.pass(now, |_, _| {});
+            // Until then nobody acknowledges: the mailboxes stay full.
+            while ms >= 100
+                && let Some([_, _, sent, _]) = bridge.ports()[0].registers.take_frame()
+            {
+                (left, oldest) = (left + 1, oldest.max(now.wrapping_sub(sent)));
+                bridge.pass(now, |_, _| {});
+            }
+        }
+        assert!(left > 300 && oldest <= TIMEOUT_MS, "{left}: {oldest} ms");
+        assert_eq!(left + bridge.lost(), 600);
+        let [near, far] = bridge.ports();
+        let all = ABRQ0 | ABRQ0 << 8 | ABRQ0 << 16;
+        assert_eq!([near, far].map(|can| can.registers.aborted), [all, 0]);
+    }
+
+    #[test]
     fn faults_of_the_bus_are_seen() {
         let (mut near, mut far) = pair();
         let frames: Vec<Frame> = (0..5).map(|id| Frame::standard(id, &[id as u8])).collect();
         for frame in &frames {
-            near.send(frame).unwrap();
+            assert!(near.send(frame, 0));
             let words = near.registers.take_frame().unwrap();
             far.registers.accept_frame(words, &near.registers);
         }
         // Three fit: the first two and the last.
         assert_eq!(far.receive(), Some(frames[0]));
         assert!(!far.registers.overrun, "the flag is cleared");
+        assert_eq!([(); 2].map(|()| far.expire(0, 0)), [1, 0]);
         let others = [Some(frames[1]), Some(frames[4]), None];
         assert_eq!([(); 3].map(|()| far.receive()), others);
         for frame in [Frame::standard(1, &[0; 12]), frames[0].into_fd(0)] {
-            assert_eq!(near.send(&frame), Err(CanError::NotClassic));
+            assert!(near.send(&frame, 0) && near.registers.pending.is_empty());
         }
         assert!(!near.is_off());
         near.registers.off = true;
         assert!(near.is_off());
         // Nobody acknowledges: the mailboxes fill.
         for frame in &frames[..3] {
-            near.send(frame).unwrap();
+            assert!(near.send(frame, 0));
         }
-        assert_eq!(near.send(&frames[3]), Err(CanError::Full));
+        assert!(!near.send(&frames[3], 0));
         // A length beyond 8 means eight bytes.
         far.registers
             .accept_frame([5 << 21, 15, 1, 2], &near.registers);

@@ -45,13 +45,6 @@ pub const RECEIVE_INSTRUCTIONS: u64 = 60;
 /// around the counter's two readings, which save registers and keep the account.
 pub const RECEIVE_OVERHEAD: u64 = 24 + 36;
 
-/// Part of the processor that receiving frames of `bytes` at `rate_hz` takes at an instruction a cycle, in per mille,
-/// rounded up.
-pub const fn receive_permille(bytes: usize, rate_hz: u64) -> u64 {
-    let cycles = (RECEIVE_INSTRUCTIONS + RECEIVE_OVERHEAD) * bytes as u64 * rate_hz;
-    (1000 * cycles).div_ceil(PLL_HZ as u64)
-}
-
 const _: () = assert!(headroom_permille(sample(7), 1000, LINK_BYTES_S) >= 300);
 const _: () = assert!(headroom_permille(full_torque(7), 1000, LINK_BYTES_S) >= 300);
 
@@ -68,6 +61,13 @@ mod tests {
     use foretorque_link::wire::size;
     use std::format;
 
+    /// Part of the processor that receiving frames of `bytes` at 1 kHz takes at an instruction a cycle, in per mille,
+    /// rounded up.
+    fn receive_permille(bytes: usize) -> u64 {
+        let cycles = (RECEIVE_INSTRUCTIONS + RECEIVE_OVERHEAD) * bytes as u64 * 1000;
+        (1000 * cycles).div_ceil(PLL_HZ.into())
+    }
+
     /// The line of the protocol page that begins with these cells.
     fn row<'a>(page: &'a str, cells: &str) -> &'a str {
         let row = page.lines().find(|line| line.starts_with(cells));
@@ -79,7 +79,7 @@ mod tests {
         let page = include_str!("../../../../docs/protocol.md");
         let heading = page.find("| receive interrupt |").unwrap();
         let percent = |permille: i64| format!("{}.{} %", permille / 10, permille % 10);
-        let share = |bytes| percent(receive_permille(bytes, 1000) as i64);
+        let share = |bytes| percent(receive_permille(bytes) as i64);
         let counts = RECEIVE_INSTRUCTIONS + RECEIVE_OVERHEAD;
         for joints in [6, 7] {
             let (sample, reply) = (size::sample(joints), size::full_torque(joints));

@@ -105,7 +105,10 @@ pub fn reset_reason(kept: Reason, rcc: &RCC) -> ResetReason {
         Reason::Panic | Reason::Setup => ResetReason::Panic,
         Reason::HardFault | Reason::Unexpected | Reason::Stack => ResetReason::Fault,
         Reason::Requested => ResetReason::Software,
-        Reason::None if chip.porrstf().bit_is_set() => ResetReason::PowerOn,
+        // A supply that broke down: the RAM may hold anything, as after power-on.
+        Reason::None if chip.porrstf().bit_is_set() || chip.borrstf().bit_is_set() => {
+            ResetReason::PowerOn
+        }
         Reason::None if chip.wdgrstf().bit_is_set() || chip.wwdgrstf().bit_is_set() => {
             ResetReason::Watchdog
         }

@@ -96,14 +96,17 @@ impl Wire {
             if status.ore().bit_is_set() {
                 add(&RECEIVED.overruns, 1);
             }
-            let taken = self.received.put(byte);
-            let ReceiveCounters { bytes, lost, .. } = &RECEIVED;
-            add(if taken { bytes } else { lost }, 1);
-            delimiter = byte == 0;
-            if delimiter {
-                ENDED_AT.store(start, Ordering::Relaxed);
+            // An overrun alone leaves the byte before it there.
+            received = status.rxne().bit_is_set();
+            if received {
+                let taken = self.received.put(byte);
+                let ReceiveCounters { bytes, lost, .. } = &RECEIVED;
+                add(if taken { bytes } else { lost }, 1);
+                delimiter = byte == 0;
+                if delimiter {
+                    ENDED_AT.store(start, Ordering::Relaxed);
+                }
             }
-            received = true;
         }
         let sending = self.usart.cr1().read().txeie().bit_is_set();
         let sent = self.transmit();

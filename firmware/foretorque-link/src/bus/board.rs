@@ -5,7 +5,7 @@ use super::drives::{BusDrives, BusPhase};
 use super::joint::JointLink;
 use super::{BusFault, ENABLE_S, FaultCause};
 use crate::copy;
-use crate::drives::{DriveState, Frame, Request};
+use crate::drives::{Frame, Request};
 use crate::safety::{COMMAND_TIMEOUT_US, SafetyReason, SafetyState};
 use crate::session::{Clock, LocalSensor, Session};
 use core::marker::PhantomData;
@@ -124,11 +124,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         self.ticked
     }
 
-    /// Fault of the drives, as far as the board has found one.
-    pub fn fault(&self) -> Option<BusFault> {
-        match &self.side {
-            Side::Master(drives) => drives.fault(),
-            Side::InLine(_) => None,
+    /// Lets the drives of a master damp where they follow. Called after each message of the host that leaves the torque off,
+    /// so that an end of the torque between two ticks is seen: the drives then start softly again.
+    pub fn rest(&mut self) {
+        if let Side::Master(drives) = &mut self.side {
+            drives.damp();
         }
     }
 
@@ -150,8 +150,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         let drives = match &mut self.side {
             Side::Master(drives) => drives,
             Side::InLine(line) => {
-                for (joint, celsius) in line.temperatures() {
-                    session.note_temperature(joint, celsius);
+                let joints = line.joints.iter_mut().enumerate();
+                for (joint, slot) in joints {
+                    let celsius = slot.as_mut().and_then(|slot| slot.link.temperature());
+                    if let Some(celsius) = celsius {
+                        session.note_temperature(joint, celsius);
+                    }
                 }
                 if line.failed && session.torque_enabled() {
                     session.trip(SafetyReason::Drive);
@@ -168,6 +172,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         if drives.fault().is_some() && session.latched_fault() == SafetyReason::None {
             // The host has cleared it.
             drives.clear();
+            self.waited = 0;
         }
         if off {
             drives.fail(None, FaultCause::BusOff);
@@ -187,7 +192,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
             BusPhase::Enabling(_) if !enabled => drives.stop(),
             _ => {}
         }
-        if drives.phase() != BusPhase::Off {
+        if drives.phase() != BusPhase::Off || !enabled {
             self.waited = 0;
         }
         drives.follow(session.desired().filter(|_| !self.silent));
@@ -326,12 +331,6 @@ impl<const N: usize> LineMotion<N> {
         }
     }
 
-    fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
-        let joints = self.joints.iter().enumerate();
-        joints
-            .filter_map(|(joint, slot)| Some((joint, slot.as_ref()?.link.reply.temperature? as i8)))
-    }
-
     /// Closes a period: the sample of what has passed. Joints without a drive here take their part of `given`.
     fn sample(&mut self, given: Option<&JointSample<N>>, period_us: u32) -> Option<JointSample<N>> {
         let mut desired = given.map_or(JointMotion::zero(), |given| given.desired);
@@ -357,7 +356,7 @@ impl<const N: usize> LineMotion<N> {
             match slot.filter.step(period_us) {
                 Some(now) => {
                     [*q, *qd, *qdd] = now;
-                    let off = slot.link.reply.state == Some(DriveState::Disabled);
+                    let off = slot.link.is_off();
                     // Two clocks: a period may have two replies, or none.
                     match slot.link.close(f32::INFINITY) {
                         Some(now) => (*position, *torque) = now,

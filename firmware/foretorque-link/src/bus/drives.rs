@@ -5,14 +5,12 @@ use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
 use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
-use crate::safety::{JUMP_MARGIN, PLAUSIBLE_C, SafetyLimits, SafetyReason};
+use crate::safety::{JUMP_MARGIN, SafetyLimits, SafetyReason};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMeasurement, JointMotion, JointVector};
 
 /// Weight of a period that lacks a reply; a whole one takes back 1. So one in five is too many.
 const LOSS_WEIGHT: u16 = 4;
-/// Highest temperature that the safety takes, °C: a drive may report more.
-const MOST_C: f32 = *PLAUSIBLE_C.end() as f32;
 /// Periods of a round in which an idle drive is asked for its scales and for a report.
 const IDLE_ROUND: u16 = 4;
 
@@ -65,7 +63,7 @@ impl<const N: usize> BusDrives<N> {
             phase: BusPhase::Off,
             fault: None,
             losses: 0,
-            period_s,
+            period_s: 0.0,
             steps: JointVector::zeros(),
             travel: A::limits().map(|limits| limits.position),
             desired: JointMotion::zero(),
@@ -116,12 +114,10 @@ impl<const N: usize> BusDrives<N> {
         Some(positions)
     }
 
-    /// Temperatures that the drives have reported, up to 125: joint, °C.
-    pub fn temperatures(&self) -> impl Iterator<Item = (usize, i8)> {
-        let links = self.links.iter().enumerate();
-        links.filter_map(|(joint, link)| {
-            Some((joint, link.as_ref()?.reply.temperature?.min(MOST_C) as i8))
-        })
+    /// Temperatures that the drives have reported since the last call, up to 125: joint, °C.
+    pub fn temperatures(&mut self) -> impl Iterator<Item = (usize, i8)> {
+        let links = self.links.iter_mut().enumerate();
+        links.filter_map(|(joint, link)| Some((joint, link.as_mut()?.temperature()?)))
     }
 
     /// Takes a frame that has arrived; foreign frames are counted.
@@ -151,6 +147,10 @@ impl<const N: usize> BusDrives<N> {
         match self.phase {
             BusPhase::Off => {
                 self.ready()?;
+                // A state from before the order proves nothing: some drives report theirs ten times a second.
+                for link in self.links.iter_mut().flatten() {
+                    link.reply.state = link.reply.state.and(Some(DriveState::Disabled));
+                }
                 self.phase = BusPhase::Enabling(0);
                 Ok(())
             }
@@ -182,6 +182,14 @@ impl<const N: usize> BusDrives<N> {
     fn switch_off(&mut self) -> BusPhase {
         self.idle = IDLE_ROUND - 1;
         self.phase = BusPhase::Off;
+        self.phase
+    }
+
+    /// Ends the phase in which the drives follow, if they do: they damp.
+    pub(super) fn damp(&mut self) -> BusPhase {
+        if let BusPhase::Running(_) = self.phase {
+            self.phase = BusPhase::Damping(periods(DAMPING_S, self.period_s));
+        }
         self.phase
     }
 
@@ -240,7 +248,7 @@ impl<const N: usize> BusDrives<N> {
             let here = link.reply.position.unwrap_or_default();
             let desired = self.desired.q.get(index).copied();
             let desired = desired.filter(|_| started).unwrap_or(here);
-            let off = started && link.reply.state == Some(DriveState::Disabled);
+            let off = started && link.is_off();
             let cause = link.fault(desired, silence);
             if let Some(cause) = cause.or(off.then_some(FaultCause::Disabled)) {
                 self.fail(Some(index as u8), cause);
@@ -294,7 +302,7 @@ impl<const N: usize> BusDrives<N> {
                 }
             }
             BusPhase::Running(count) if enabled => BusPhase::Running(count.saturating_add(1)),
-            BusPhase::Running(_) => BusPhase::Damping(periods(DAMPING_S, period_s)),
+            BusPhase::Running(_) => self.damp(),
             BusPhase::Damping(0) => self.switch_off(),
             BusPhase::Damping(left) => BusPhase::Damping(left - 1),
         };
@@ -328,7 +336,8 @@ impl<const N: usize> BusDrives<N> {
             let here = link.reply.position.unwrap_or_default();
             let mut hold = here;
             if let Some(held) = self.held.get_mut(index) {
-                if armed || self.phase == BusPhase::Off {
+                let follows = armed && matches!(self.phase, BusPhase::Running(_));
+                if follows || self.phase == BusPhase::Off {
                     *held = here;
                 }
                 hold = *held;
@@ -345,10 +354,10 @@ impl<const N: usize> BusDrives<N> {
             };
             let command = match self.phase {
                 BusPhase::Off => None,
-                BusPhase::Enabling(count) => {
-                    let by_command = joint.drive.enabled_by_command() && count >= STATE_PERIODS;
-                    let enabled = link.reply.state == Some(DriveState::Enabled);
-                    (enabled || by_command).then_some(resting)
+                BusPhase::Enabling(_) => {
+                    use DriveState::{Enabled, SwitchedOn};
+                    let on = matches!(link.reply.state, Some(Enabled | SwitchedOn));
+                    on.then_some(resting)
                 }
                 BusPhase::Running(_) if armed => Some(JointCommand {
                     position: value(&self.desired.q).max(low).min(high),
@@ -372,7 +381,11 @@ impl<const N: usize> BusDrives<N> {
                     saturation.insert(joint.drive.command(&command, &mut link.carry, &mut frames));
                 }
                 None if matches!(self.phase, BusPhase::Enabling(_)) => {
-                    joint.drive.order(Order::Enable, &mut frames);
+                    let order = match link.reply.state {
+                        Some(DriveState::NotReady) => Order::Disable,
+                        _ => Order::Enable,
+                    };
+                    joint.drive.order(order, &mut frames);
                 }
                 None if core::mem::take(&mut link.clears) => {
                     joint.drive.order(Order::ClearFault, &mut frames);

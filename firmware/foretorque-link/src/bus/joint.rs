@@ -4,6 +4,7 @@ use super::FaultCause;
 use super::config::BusJoint;
 use super::{FOLLOWING_RAD, STUCK_RAD};
 use crate::drives::{Carry, DriveState, Event, Frames, JointReply, Order, Scale};
+use crate::safety::PLAUSIBLE_C;
 
 /// Periods for which a torque stands that came in a frame of its own.
 const TORQUE_PERIODS: u16 = 4;
@@ -13,6 +14,8 @@ const CONFLICTS: u8 = 5;
 const FAR_REPLIES: u8 = 3;
 /// Periods in which a drive may still report the state before an order.
 pub(super) const STATE_PERIODS: u16 = 3;
+/// Highest temperature that the safety takes, °C: a drive may report more.
+const MOST_C: f32 = *PLAUSIBLE_C.end() as f32;
 const SCALES: [Scale; 3] = [Scale::Position, Scale::Velocity, Scale::Torque];
 
 /// Counters of one joint. All saturate.
@@ -135,6 +138,12 @@ impl JointLink {
         }
     }
 
+    /// Temperature that has come since the last call, up to 125 °C.
+    pub(super) fn temperature(&mut self) -> Option<i8> {
+        let celsius = self.reply.temperature.take()?;
+        Some(celsius.min(MOST_C) as i8)
+    }
+
     /// Closes a period: position and torque of its last reply, `None` without one that is sound.
     ///
     /// * `step` largest distance of two positions of one period, rad
@@ -223,6 +232,12 @@ impl JointLink {
         }
         self.different_scale()
             .or_else(|| self.unknown_scale().map(FaultCause::ScaleUnknown))
+    }
+
+    /// The drive reports a state, and not that its torque follows the commands.
+    pub(super) fn is_off(&self) -> bool {
+        let state = self.reply.state;
+        state.is_some_and(|state| state != DriveState::Enabled)
     }
 
     /// The first scale that the drive can report and has not.

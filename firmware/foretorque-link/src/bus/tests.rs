@@ -1,10 +1,11 @@
 use super::*;
 use crate::drives::{
-    DriveProfile, DriveState, Frame, Frames, JointReply, Order, Protocol, Ranges, Request, Scale,
+    Carry, Cia402, ControlMode, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply,
+    Odrive, Order, Protocol, Ranges, Request, Scale,
 };
 use crate::safety::SafetyState;
 use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Session};
-use crate::wire::{FrameBuffer, HostMessage, SampleFrame};
+use crate::wire::{Configuration, FrameBuffer, HostMessage, SampleFrame};
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 use std::vec::Vec;
@@ -44,10 +45,40 @@ pub(super) fn controller(config: BusConfig<6>) -> Result<Controller, Contradicti
     Controller::new(config, &Parameters::nominal::<Ur5>())
 }
 
+/// The drives of [`config`] with another protocol.
+fn config_of(protocol: Protocol) -> BusConfig<6> {
+    let mut config = config();
+    config
+        .joints
+        .iter_mut()
+        .for_each(|joint| joint.drive.protocol = protocol);
+    config
+}
+
+/// Position, velocity and torque in the frames; the gains and the temperatures are not.
+const ODRIVE: Protocol = Protocol::Odrive(Odrive {
+    mode: ControlMode::Position,
+    velocity_scale: 1000.0,
+    torque_scale: 1000.0,
+    torque_scale_endpoint: 0,
+    polled: true,
+});
+
 /// Drives that stand where they are set, with a switch for each.
 struct Drives {
     config: BusConfig<6>,
     on: [bool; 6],
+    /// CANopen: nodes that were started, and states of those that are not on.
+    started: [bool; 6],
+    states: [DriveState; 6],
+    /// The drives answer no question for a scale.
+    mute: bool,
+    /// ODrive: periods between two heartbeats, and periods so far.
+    heartbeat: u32,
+    periods: u32,
+    /// Positions and stiffness of the last commands.
+    position: [f32; 6],
+    kp: [f32; 6],
     /// Faults that keep a drive off until they are cleared.
     faults: [bool; 6],
     q: [f32; 6],
@@ -57,9 +88,20 @@ struct Drives {
 
 impl Drives {
     fn new() -> Self {
+        Self::of(config())
+    }
+
+    fn of(config: BusConfig<6>) -> Self {
         Self {
-            config: config(),
+            config,
             on: [false; 6],
+            started: [false; 6],
+            states: [DriveState::NotReady; 6],
+            mute: false,
+            heartbeat: 1,
+            periods: 0,
+            position: [0.0; 6],
+            kp: [0.0; 6],
             faults: [false; 6],
             q: [0.0; 6],
             torque: [0.0; 6],
@@ -91,10 +133,17 @@ impl Drives {
     ) -> Vec<(u8, Frame)> {
         let mut answers = Vec::new();
         self.order.clear();
+        self.periods += 1;
         for &(bus, frame) in sent {
             for j in 0..6 {
                 let joint = self.config.joints[j];
                 if joint.bus != bus {
+                    continue;
+                }
+                let canopen = matches!(joint.drive.protocol, Protocol::Cia402(_));
+                self.started[j] |= frame == Frame::standard(0, &[1, joint.drive.id as u8]);
+                // Before its start a node takes no process data.
+                if canopen && !self.started[j] && frame.id < 0x600 {
                     continue;
                 }
                 let Some(request) = joint.drive.accept(&frame) else {
@@ -103,6 +152,21 @@ impl Drives {
                 self.order.push(joint.drive.id);
                 let mut frames = Frames::new();
                 match request {
+                    Request::Order(Order::ReadScale(_)) if self.mute => {}
+                    Request::Order(Order::ReadScale(scale)) if canopen => {
+                        joint.drive.reply_scale(scale, 12.0, &mut frames);
+                    }
+                    Request::Order(Order::Enable) if canopen => {
+                        if self.states[j] == DriveState::Disabled {
+                            self.states[j] = DriveState::SwitchedOn;
+                        }
+                    }
+                    Request::Order(Order::Disable) if canopen => {
+                        (self.on[j], self.states[j]) = (false, DriveState::Disabled);
+                    }
+                    Request::Command(_) if canopen => {
+                        self.on[j] |= self.states[j] == DriveState::SwitchedOn;
+                    }
                     Request::Order(Order::ReadScale(scale)) => {
                         let value = [12.5, 30.0, 200.0][scale as usize];
                         joint.drive.reply_scale(scale, value, &mut frames);
@@ -112,6 +176,7 @@ impl Drives {
                     Request::Order(Order::Disable) => self.on[j] = false,
                     Request::Command(command) if self.on[j] => {
                         self.torque[j] = command.torque;
+                        (self.position[j], self.kp[j]) = (command.position, command.kp);
                         if command.kp > 0.0 {
                             self.q[j] = command.position;
                         }
@@ -126,11 +191,16 @@ impl Drives {
                     state: Some(match (self.on[j], self.faults[j]) {
                         (_, true) => DriveState::Fault(13),
                         (true, _) => DriveState::Enabled,
+                        (false, _) if canopen => self.states[j],
                         (false, _) => DriveState::Disabled,
                     }),
                 };
                 if frames.is_empty() && change(j, &mut reply) {
                     joint.drive.reply(&reply, &mut frames);
+                }
+                if joint.drive.protocol == ODRIVE && !self.periods.is_multiple_of(self.heartbeat) {
+                    // The heartbeat is the last one.
+                    frames.pop();
                 }
                 answers.extend(frames.iter().map(|frame| (bus, *frame)));
             }
@@ -257,17 +327,21 @@ struct Board {
 
 impl Board {
     fn new() -> Self {
+        Self::of(Role::Master, config())
+    }
+
+    fn of(role: Role, config: BusConfig<6>) -> Self {
         let wiring = Wiring {
-            role: Role::Master,
+            role,
             wires: Wires::Can,
             bit_s: 1_000_000,
-            joints: config().joints.map(Some).into_iter().collect(),
+            joints: config.joints.map(Some).into_iter().collect(),
         };
         Self {
             board: BoardDrives::new(&wiring),
             session: Session::new(BoardDescription::plain(NoClock)).unwrap(),
             mailboxes: Mailboxes::new(),
-            drives: Drives::new(),
+            drives: Drives::of(config),
             sent: 0,
         }
     }
@@ -279,15 +353,24 @@ impl Board {
         change: impl Fn(usize, &mut JointReply) -> bool,
     ) {
         let (session, board, mailboxes) = (&mut self.session, &mut self.board, &mut self.mailboxes);
+        let mut sent = Vec::new();
+        // As the tick's task of the firmware does it.
+        let mut follow = |session: &mut Session<_, 6, 40>, board: &mut BoardDrives<_, 6, 40>| {
+            if board.ticked() {
+                board.follow(session, false, |bus, frame| sent.push((bus, *frame)));
+            } else if !session.torque_enabled() {
+                board.rest();
+            }
+        };
         session.timer_tick(mailboxes, &mut FrameBuffer::new(), board);
+        follow(session, board);
         for message in messages {
             let (mut request, mut reply) = (FrameBuffer::new(), FrameBuffer::new());
             request.push(self.sent, message).unwrap();
             self.sent += 1;
             session.receive(request.as_bytes(), mailboxes, &mut reply, board);
+            follow(session, board);
         }
-        let mut sent = Vec::new();
-        board.follow(session, false, |bus, frame| sent.push((bus, *frame)));
         for (bus, frame) in self.drives.answers(&sent, change) {
             board.receive(bus, &frame);
         }
@@ -361,12 +444,151 @@ fn a_board_that_is_armed_with_a_cleared_fault_waits_for_scales() {
     board.drives.faults[2] = true;
     board.rest(50, &[HostMessage::Arm]);
     board.rest(50, &[]);
-    let cause = board.board.fault().map(|fault| fault.cause);
-    assert_eq!(cause, Some(FaultCause::Drive(13)));
+    assert_eq!(board.session.latched_fault(), SafetyReason::Drive);
     board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
     board.rest(500, &[]);
     assert_eq!(board.session.safety().state, SafetyState::Armed);
     assert_eq!(board.drives.on, [true; 6]);
+}
+
+#[test]
+fn a_second_arming_waits_for_scales_as_long_as_the_first() {
+    let mut board = Board::new();
+    board.drives.mute = true;
+    board.rest(50, &[HostMessage::Arm]);
+    board.rest(600, &[]);
+    assert_eq!(board.session.latched_fault(), SafetyReason::Drive);
+    board.drives.mute = false;
+    board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
+    board.rest(500, &[]);
+    assert_eq!(board.session.safety().state, SafetyState::Armed);
+    assert_eq!(board.drives.on, [true; 6]);
+}
+
+#[test]
+fn an_end_of_the_torque_between_two_ticks_starts_softly_again() {
+    let mut board = Board::new();
+    board.rest(50, &[HostMessage::Arm]);
+    board.rest(700, &[]);
+    let full = board.drives.kp[1];
+    assert!((full - 300.0).abs() < 1.0, "{full}");
+    let burst = [HostMessage::Stop, HostMessage::ClearFault, HostMessage::Arm];
+    board.rest(1, &burst);
+    board.rest(1, &[]);
+    assert_eq!(board.drives.kp, [0.0; 6]);
+    let mut before = 0.0;
+    for ms in 0..2000 {
+        board.rest(1, &[]);
+        let now = board.drives.kp[1];
+        assert!(now - before < 2.0, "{ms} ms: from {before} to {now}");
+        before = now;
+    }
+    assert!((before - full).abs() < 1.0, "{before}");
+}
+
+#[test]
+fn a_held_position_does_not_follow_an_arm_that_sags() {
+    let mut board = Board::of(Role::Master, config_of(ODRIVE));
+    board.rest(50, &[HostMessage::Arm]);
+    board.rest(100, &[]);
+    assert_eq!(board.session.safety().state, SafetyState::Armed);
+    board.rest(1, &[HostMessage::Disarm]);
+    board.rest(20, &[]);
+    board.rest(1, &[HostMessage::Arm]);
+    let held = board.drives.position;
+    for _ in 0..500 {
+        board.rest(1, &[]);
+        board.drives.q.iter_mut().for_each(|q| *q -= 1e-4);
+        assert_eq!(board.session.safety().state, SafetyState::Armed);
+        assert_eq!(board.drives.position, held);
+    }
+}
+
+#[test]
+fn a_state_from_before_the_order_switches_no_drive_on() {
+    let mut board = Board::of(Role::Master, config_of(ODRIVE));
+    board.drives.heartbeat = 50;
+    board.rest(80, &[HostMessage::Arm]);
+    for _ in 0..2 {
+        board.rest(300, &[]);
+        assert_eq!(board.session.safety().state, SafetyState::Armed);
+        assert_eq!(board.drives.on, [true; 6]);
+        // It is armed again while the drives damp.
+        board.rest(1, &[HostMessage::Disarm]);
+        board.rest(20, &[]);
+        board.rest(1, &[HostMessage::Arm]);
+        board.rest(1000, &[]);
+    }
+    assert_eq!(board.session.latched_fault(), SafetyReason::None);
+}
+
+#[test]
+fn nodes_that_boot_are_started_and_switched_on_step_by_step() {
+    for mode in [ControlMode::Position, ControlMode::Velocity] {
+        let cia402 = Cia402 {
+            mode,
+            counts_per_turn: 65_536.0,
+            rated_torque: 12.0,
+        };
+        let mut board = Board::of(Role::Master, config_of(Protocol::Cia402(cia402)));
+        board.rest(50, &[HostMessage::Arm]);
+        board.rest(50, &[]);
+        assert_eq!(board.drives.on, [true; 6]);
+        assert_eq!(board.session.safety().state, SafetyState::Armed);
+        // A node that boots again is off, which is a fault; after that it is started again.
+        (board.drives.on[3], board.drives.started[3]) = (false, false);
+        board.drives.states[3] = DriveState::NotReady;
+        board.rest(1200, &[]);
+        assert_eq!(board.session.latched_fault(), SafetyReason::Drive);
+        board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
+        board.rest(100, &[]);
+        assert_eq!(board.drives.on, [true; 6]);
+    }
+}
+
+#[test]
+fn a_temperature_that_no_longer_comes_makes_a_warm_motor() {
+    let mut board = Board::of(Role::Master, config_of(ODRIVE));
+    let slow = Configuration {
+        period_us: 20_000,
+        ..Configuration::default()
+    };
+    board.period(&[HostMessage::Configure(slow)], |_, _| true);
+    let celsius = [40.0_f32.to_le_bytes(), 30.0_f32.to_le_bytes()].concat();
+    board
+        .board
+        .receive(0, &Frame::standard(1 << 5 | 0x15, &celsius));
+    board.rest(10, &[]);
+    assert_eq!(board.session.temperatures_c()[0], 40);
+    assert_ne!(board.session.safety().reason, SafetyReason::MotorWarm);
+    board.rest(1050, &[]);
+    assert_eq!(board.session.safety().reason, SafetyReason::MotorWarm);
+}
+
+#[test]
+fn a_temperature_beyond_the_plausible_ones_is_hot_in_line_too() {
+    for (celsius, armed) in [(40.0, true), (130.0, false)] {
+        let mut board = Board::of(Role::InLine, config());
+        for _ in 0..20 {
+            for joint in config().joints {
+                let (mut frames, mut carry) = (Frames::new(), Carry::default());
+                let command = JointCommand::default();
+                joint.drive.command(&command, &mut carry, &mut frames);
+                board.board.receive(0, &frames[0]);
+                frames.clear();
+                let reply = JointReply {
+                    temperature: Some(celsius),
+                    state: Some(DriveState::Enabled),
+                    ..JointReply::default()
+                };
+                joint.drive.reply(&reply, &mut frames);
+                board.board.receive(1, &frames[0]);
+            }
+            board.rest(1, &[HostMessage::Arm]);
+        }
+        let flows = board.session.torque_enabled();
+        assert_eq!(flows, armed, "{celsius} °C: {}", board.session.safety());
+    }
 }
 
 #[test]

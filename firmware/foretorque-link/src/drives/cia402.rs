@@ -25,7 +25,6 @@ const SYNC: u32 = 0x80;
 /// First bytes of an expedited SDO: command, index and subindex.
 const READ_RATED: [u8; 4] = [0x40, 0x76, 0x60, 0];
 const RATED: [u8; 4] = [0x43, 0x76, 0x60, 0];
-const WRITE_CONTROL: [u8; 4] = [0x2b, 0x40, 0x60, 0];
 
 pub(super) struct Codec<'p> {
     pub(super) drive: &'p DriveProfile,
@@ -64,21 +63,21 @@ impl Codec<'_> {
         push(out.frames, self.output(ENABLED, nearest(target), torque));
     }
 
-    fn sdo(&self, command: [u8; 4], value: u32) -> Frame {
-        self.frame(0x600, &join(command, value.to_le_bytes()))
-    }
-
     pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
         match order {
             Order::Enable => {
                 // The control word of the first command, beside its target, is what enables the operation.
-                push(frames, Frame::standard(0, &[1, self.drive.id as u8]));
-                push(frames, self.sdo(WRITE_CONTROL, SHUTDOWN.into()));
-                push(frames, self.sdo(WRITE_CONTROL, SWITCH_ON.into()));
+                push(frames, self.output(SWITCH_ON, 0, 0));
             }
-            Order::Disable => push(frames, self.output(SHUTDOWN, 0, 0)),
+            Order::Disable => {
+                push(frames, self.output(SHUTDOWN, 0, 0));
+                // A node that boots takes and sends process data only after it was started.
+                push(frames, Frame::standard(0, &[1, self.drive.id as u8]));
+            }
             Order::ClearFault => push(frames, self.output(RESET, 0, 0)),
-            Order::ReadScale(Scale::Torque) => push(frames, self.sdo(READ_RATED, 0)),
+            Order::ReadScale(Scale::Torque) => {
+                push(frames, self.frame(0x600, &join(READ_RATED, [0; 4])))
+            }
             Order::Report => push(frames, Frame::standard(SYNC, &[])),
             Order::SetZero | Order::ReadScale(_) => return false,
         }
@@ -97,12 +96,12 @@ impl Codec<'_> {
                 reply.position = Some(i32::from_le_bytes([p0, p1, p2, p3]) as f32 * to_rad);
                 reply.torque = Some(f32::from(torque) * 1e-3 * self.scales.rated_torque);
                 let status = u16::from_le_bytes([s0, s1]);
-                reply.state = Some(if status & 8 != 0 {
-                    DriveState::Fault(status.into())
-                } else if status & 0x6f == 0x27 {
-                    DriveState::Enabled
-                } else {
-                    DriveState::Disabled
+                reply.state = Some(match status & 0x6f {
+                    _ if status & 8 != 0 => DriveState::Fault(status.into()),
+                    0x21 => DriveState::Disabled,
+                    0x23 => DriveState::SwitchedOn,
+                    0x27 => DriveState::Enabled,
+                    _ => DriveState::NotReady,
                 });
             }
             (0x280, &[v0, v1, v2, v3]) => {
@@ -134,20 +133,14 @@ impl Codec<'_> {
                 (0x200, &[c0, c1, t0, t1]) if self.scales.mode == ControlMode::Torque => {
                     ([c0, c1], [0; 4], [t0, t1])
                 }
-                (0x600, &[c, i0, i1, s, low, high, _, _]) => {
-                    let order = match [c, i0, i1, s] {
-                        READ_RATED => Order::ReadScale(Scale::Torque),
-                        WRITE_CONTROL if u16::from_le_bytes([low, high]) == SWITCH_ON => {
-                            Order::Enable
-                        }
-                        _ => return None,
-                    };
-                    return Some(Request::Order(order));
+                (0x600, &[c, i0, i1, s, ..]) if [c, i0, i1, s] == READ_RATED => {
+                    return Some(Request::Order(Order::ReadScale(Scale::Torque)));
                 }
                 _ => return None,
             };
         match u16::from_le_bytes(control) {
             ENABLED => {}
+            SWITCH_ON => return Some(Request::Order(Order::Enable)),
             RESET => return Some(Request::Order(Order::ClearFault)),
             _ => return Some(Request::Order(Order::Disable)),
         }
@@ -172,6 +165,8 @@ impl Codec<'_> {
         let torque = nearest(thousandths).clamp((-i16::MAX).into(), i16::MAX.into()) as i16;
         let status: u16 = match reply.state.unwrap_or_default() {
             DriveState::Disabled => 0x21,
+            DriveState::NotReady => 0x40,
+            DriveState::SwitchedOn => 0x23,
             DriveState::Enabled => 0x27,
             DriveState::Fault(_) => 0x08,
         };

@@ -157,9 +157,9 @@ impl Codec<'_> {
             nearest(reply.temperature.unwrap_or_default() * 10.0).clamp(0, STEPS.into()) as u16,
         ]);
         let state = match reply.state.unwrap_or_default() {
-            DriveState::Disabled => 0,
             DriveState::Enabled => 2 << 14,
             DriveState::Fault(faults) => (faults.clamp(1, 0x3f) as u16) << 8,
+            _ => 0,
         };
         let id = kind::REPLY << 24 | u32::from(state | self.drive.id & 0xff) << 8;
         push(

@@ -3,6 +3,7 @@
 use super::{JointCommand, Ranges};
 use crate::copy;
 use core::fmt;
+pub(super) use foretorque::math::nearest;
 
 /// One CAN frame, classic (at most 8 bytes) or FD (at most 64).
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -174,16 +175,6 @@ impl Saturation {
 pub struct Carry {
     pub(super) velocity: f32,
     pub(super) torque: f32,
-}
-
-/// Integer nearest to `value`, halves away from zero.
-pub(super) fn nearest(value: f32) -> i32 {
-    // The cast truncates and saturates.
-    (if value < 0.0 {
-        value - 0.5
-    } else {
-        value + 0.5
-    }) as i32
 }
 
 /// Integer nearest to `value + carry` within `low` and `high`; keeps the rounding error in `carry`.

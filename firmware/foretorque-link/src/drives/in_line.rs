@@ -18,7 +18,6 @@ pub struct InLine<const N: usize> {
     set_at: u32,
     /// Rounding errors of the added torques, in steps of their fields.
     carry: [f32; N],
-    altered: u32,
 }
 
 impl<const N: usize> InLine<N> {
@@ -31,7 +30,6 @@ impl<const N: usize> InLine<N> {
             torques: None,
             set_at: 0,
             carry: [0.0; N],
-            altered: 0,
         }
     }
 
@@ -46,11 +44,6 @@ impl<const N: usize> InLine<N> {
     pub fn clear(&mut self) {
         self.torques = None;
         self.carry = [0.0; N];
-    }
-
-    /// Number of frames changed, modulo 2³².
-    pub const fn altered(&self) -> u32 {
-        self.altered
     }
 
     /// Frame from the host on its way to the drives: adds the torque where it is a motion command.
@@ -81,18 +74,17 @@ impl<const N: usize> InLine<N> {
                 (high - command.torque).max(0.0),
             );
             let added = torque.max(room.0).min(room.1);
-            if added != 0.0 && add(profile, frame, added, carry) {
-                self.altered = self.altered.wrapping_add(1);
+            if added != 0.0 {
+                add(profile, frame, added, carry);
             }
         }
         Some((joint, command))
     }
 }
 
-/// Adds a torque, N·m at the joint, to a motion command. `false`: the frame is unchanged.
-fn add(profile: &DriveProfile, frame: &mut Frame, torque: f32, carry: &mut f32) -> bool {
+/// Adds a torque, N·m at the joint, to a motion command.
+fn add(profile: &DriveProfile, frame: &mut Frame, torque: f32, carry: &mut f32) {
     let torque = torque / (profile.sign * profile.gear);
-    let before = *frame;
     let steps = |size: f32, carry: &mut f32| carried(torque / size, carry, -0xffff, 0xffff);
     match &profile.protocol {
         Protocol::MiniCheetah(ranges) | Protocol::Damiao(ranges) => {
@@ -107,24 +99,31 @@ fn add(profile: &DriveProfile, frame: &mut Frame, torque: f32, carry: &mut f32) 
         Protocol::Moteus(_) => moteus::add_torque(frame, torque, carry),
         Protocol::Cia402(_) => {}
     }
-    *frame != before
 }
 
 /// Controller of one bus.
 pub trait Port {
     /// Oldest received frame.
     fn receive(&mut self) -> Option<Frame>;
-    /// Gives a frame to the controller. `false`: it has no room now.
-    fn send(&mut self, frame: &Frame) -> bool;
+    /// Gives a frame to the controller that waits since the count `since`. `false`: it has no room now.
+    fn send(&mut self, frame: &Frame, since: u32) -> bool;
+    /// Takes every frame back that has waited for more than `timeout`, in counts of the clock of `now`.
+    ///
+    /// Number of frames that the controller has lost since the last call: taken back, or overrun as they arrived.
+    fn expire(&mut self, now: u32, timeout: u32) -> u32;
 }
 
 /// Both ports of a board. In line, port 0 is that of the host and port 1 that of the drives.
 ///
-/// A frame leaves once it has arrived as a whole: that delays it by its own time on the bus, and by one [`Self::pass`].
+/// A frame leaves once it has arrived as a whole: that delays it by its own time on the bus, and by one [`Self::pass`]. One
+/// that has waited too long is dropped: without a drive that acknowledges, a controller repeats its frames for ever, and a
+/// drive that comes back must not take an order or a torque of before.
 #[derive(Debug)]
 pub struct Bridge<P, const N: usize> {
     ports: [P; 2],
-    queues: [Deque<Frame, QUEUE>; 2],
+    /// Frames with the counts since which they wait.
+    queues: [Queue; 2],
+    timeout: u32,
     /// Torques to add in line; `None` where the board is the master and no frame passes.
     in_line: Option<InLine<N>>,
     lost: u32,
@@ -132,14 +131,17 @@ pub struct Bridge<P, const N: usize> {
 
 /// Frames that wait for a busy bus, each way: three of each drive of an arm with eight joints.
 const QUEUE: usize = 24;
+type Queue = Deque<(u32, Frame), QUEUE>;
 /// Frames taken from a port in one call.
 const TAKEN: usize = 16;
 
 impl<P: Port, const N: usize> Bridge<P, N> {
-    /// A bridge between two started ports.
-    pub const fn new(ports: [P; 2], in_line: Option<InLine<N>>) -> Self {
+    /// A bridge between two started ports. A frame waits for at most `timeout`, in counts of the clock of [`InLine`], and one
+    /// time between two calls of [`pass`](Self::pass).
+    pub const fn new(ports: [P; 2], in_line: Option<InLine<N>>, timeout: u32) -> Self {
         Self {
             ports,
+            timeout,
             queues: [const { Deque::new() }; 2],
             in_line,
             lost: 0,
@@ -147,9 +149,9 @@ impl<P: Port, const N: usize> Bridge<P, N> {
     }
 
     /// Queues a frame of the board itself.
-    pub fn send(&mut self, port: u8, frame: Frame) {
+    pub fn send(&mut self, port: u8, frame: Frame, now: u32) {
         if let Some(queue) = self.queues.get_mut(usize::from(port)) {
-            self.lost = self.lost.wrapping_add(append(queue, frame));
+            self.lost = self.lost.wrapping_add(append(queue, (now, frame)));
         }
     }
 
@@ -163,7 +165,7 @@ impl<P: Port, const N: usize> Bridge<P, N> {
     }
 
     /// Takes and passes what has arrived; calls `seen` with port and frame as it arrived. Called when a frame has arrived
-    /// or a mailbox is empty again.
+    /// or a mailbox is empty again, and at least once a period: frames that wait grow old.
     ///
     /// * `now` count of the clock of [`InLine`]
     ///
@@ -182,14 +184,19 @@ impl<P: Port, const N: usize> Bridge<P, N> {
                     if way == 0 {
                         in_line.to_drives(&mut frame, now);
                     }
-                    self.lost = self.lost.wrapping_add(append(queue, frame));
+                    self.lost = self.lost.wrapping_add(append(queue, (now, frame)));
                 }
             }
         }
         for (queue, port) in self.queues.iter_mut().zip(&mut self.ports) {
+            self.lost = self.lost.wrapping_add(port.expire(now, self.timeout));
             for _ in 0..QUEUE {
-                let sent = queue.front().is_some_and(|frame| port.send(frame));
-                if !sent {
+                let Some(&(since, ref frame)) = queue.front() else {
+                    break;
+                };
+                if now.wrapping_sub(since) > self.timeout {
+                    self.lost = self.lost.wrapping_add(1);
+                } else if !port.send(frame, since) {
                     break;
                 }
                 queue.pop_front();
@@ -197,7 +204,7 @@ impl<P: Port, const N: usize> Bridge<P, N> {
         }
     }
 
-    /// Number of frames dropped because a bus stood still, modulo 2³².
+    /// Number of frames lost because a bus stood still or a controller overran, modulo 2³².
     pub const fn lost(&self) -> u32 {
         self.lost
     }
@@ -209,7 +216,7 @@ impl<P: Port, const N: usize> Bridge<P, N> {
 }
 
 /// Appends a frame; drops the oldest one, which is late, where the queue is full. Number of frames dropped.
-fn append(queue: &mut Deque<Frame, QUEUE>, frame: Frame) -> u32 {
+fn append(queue: &mut Queue, frame: (u32, Frame)) -> u32 {
     let dropped = queue.is_full() && queue.pop_front().is_some();
     let room = queue.push_back(frame);
     debug_assert!(room.is_ok(), "a place was made");

@@ -145,9 +145,9 @@ impl Codec<'_> {
 
     pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
         let status = match reply.state.unwrap_or_default() {
-            DriveState::Disabled => 0,
             DriveState::Enabled => 1,
             DriveState::Fault(code) => code.clamp(2, 15) as u8,
+            _ => 0,
         };
         let (id, [p0, p1, v, vt, t]) = (self.drive.id as u8, measurement(self.scales, reply));
         let celsius = reply.temperature.unwrap_or_default() as u8;

@@ -62,6 +62,10 @@ pub enum DriveState {
     /// No torque.
     #[default]
     Disabled,
+    /// No torque, and not ready to be switched on before an order to switch it off (CiA 402: switch on disabled).
+    NotReady,
+    /// No torque; the next command turns it on (CiA 402).
+    SwitchedOn,
     /// Torque follows the commands.
     Enabled,
     /// Fault, with the code of the protocol; no torque.

@@ -12,7 +12,7 @@ use super::{
 use crate::copy;
 
 fn query(bytes: &mut Bytes, resolution: Resolution) {
-    let (form, _) = form(resolution);
+    let form = form(resolution);
     put(bytes, &[READ | 1, MODE as u8, READ | form | 3, 1]);
     put(bytes, &[READ | 2, TEMPERATURE as u8]);
 }
@@ -38,7 +38,7 @@ impl Codec<'_> {
         };
         let mut bytes = Bytes::new();
         put(&mut bytes, &[WRITE | 1, MODE as u8, POSITION]);
-        put(&mut bytes, &[WRITE | form(resolution).0, 5, COMMAND as u8]);
+        put(&mut bytes, &[WRITE | form(resolution), 5, COMMAND as u8]);
         let kp = motion.kp * TURN / self.scales.kp;
         let kd = motion.kd * TURN / self.scales.kd;
         let most = resolution.largest_scale();
@@ -160,14 +160,14 @@ impl Codec<'_> {
     pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
         let resolution = self.scales.resolution;
         let (mode, fault) = match reply.state.unwrap_or_default() {
-            DriveState::Disabled => (STOPPED, 0),
             DriveState::Enabled => (POSITION, 0),
             DriveState::Fault(11) => (TIMED_OUT, 0),
             DriveState::Fault(code) => (FAULTED, code.clamp(1, 127) as u8),
+            _ => (STOPPED, 0),
         };
         let mut bytes = Bytes::new();
         put(&mut bytes, &[REPLY | 1, MODE as u8, mode]);
-        put(&mut bytes, &[REPLY | form(resolution).0 | 3, 1]);
+        put(&mut bytes, &[REPLY | form(resolution) | 3, 1]);
         let turns = |value: Option<f32>| value.unwrap_or_default() / TURN;
         let values = [
             turns(reply.position),
@@ -248,12 +248,12 @@ fn put(bytes: &mut Bytes, more: &[u8]) {
     debug_assert!(fits.is_ok(), "longer than a frame");
 }
 
-/// Bits 2 and 3 of a subframe's first byte, and bytes of a value.
-const fn form(resolution: Resolution) -> (u8, usize) {
+/// Bits 2 and 3 of a subframe's first byte.
+const fn form(resolution: Resolution) -> u8 {
     match resolution {
-        Resolution::Int16 => (0x04, 2),
-        Resolution::Int32 => (0x08, 4),
-        Resolution::F32 => (0x0c, 4),
+        Resolution::Int16 => 0x04,
+        Resolution::Int32 => 0x08,
+        Resolution::F32 => 0x0c,
     }
 }
 

@@ -191,9 +191,9 @@ impl Codec<'_> {
         let torque = reply.torque.unwrap_or_default();
         self.send(command::TORQUES, &pair(torque, torque), frames);
         let (error, state) = match reply.state.unwrap_or_default() {
-            DriveState::Disabled => (0, IDLE),
             DriveState::Enabled => (0, CLOSED_LOOP),
             DriveState::Fault(error) => (error.max(1), IDLE),
+            _ => (0, IDLE),
         };
         let bytes = join(error.to_le_bytes(), state.to_le_bytes());
         self.send(command::HEARTBEAT, &bytes, frames);

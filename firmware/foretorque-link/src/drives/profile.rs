@@ -360,11 +360,6 @@ impl DriveProfile {
         !matches!(self.protocol, Protocol::Odrive(_) | Protocol::Cia402(_))
     }
 
-    /// The first command after [`super::Order::Enable`] turns the torque on, not the order itself.
-    pub const fn enabled_by_command(&self) -> bool {
-        matches!(self.protocol, Protocol::Cia402(_))
-    }
-
     /// A command in the coordinates of the drive.
     pub(super) fn in_drive(&self, joint: &JointCommand) -> JointCommand {
         let turn = self.sign * self.gear;

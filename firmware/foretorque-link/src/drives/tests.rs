@@ -251,6 +251,38 @@ fn orders_and_scales_come_back() {
 }
 
 #[test]
+fn states_of_a_cia402_drive_are_those_of_its_status_word() {
+    use DriveState::{Disabled, Enabled, Fault, NotReady, SwitchedOn};
+    let profile = profile(cia402(ControlMode::Position));
+    let state = |frame: &Frame| match profile.decode(frame) {
+        Some(Event::Reply(reply)) => reply.state,
+        other => panic!("{other:?}"),
+    };
+    for (status, wanted) in [
+        (0x0000_u16, NotReady),
+        (0x1250, NotReady),
+        (0x1231, Disabled),
+        (0x1233, SwitchedOn),
+        (0x1237, Enabled),
+        (0x1217, NotReady),
+        (0x1218, Fault(0x1218)),
+    ] {
+        let [low, high] = status.to_le_bytes();
+        let frame = Frame::standard(0x183, &[low, high, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(state(&frame), Some(wanted), "{status:#x}");
+    }
+    for wanted in [NotReady, Disabled, SwitchedOn, Enabled, Fault(8)] {
+        let (mut frames, state_given) = (Frames::new(), Some(wanted));
+        let reply = JointReply {
+            state: state_given,
+            ..JointReply::default()
+        };
+        profile.reply(&reply, &mut frames);
+        assert_eq!(state(&frames[0]), state_given);
+    }
+}
+
+#[test]
 fn a_finite_number_of_turns_is_no_infinite_angle() {
     // Found by the fuzzer: position or velocity near the largest f32.
     let huge = 3.0e38_f32;

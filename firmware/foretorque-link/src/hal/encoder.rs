@@ -1,5 +1,6 @@
 use core::f32::consts::TAU;
 use embedded_hal::spi::{Error as _, ErrorKind, SpiDevice};
+use foretorque::math::nearest;
 
 /// Counts of one turn: 14 bits.
 const TURN: i32 = 1 << 14;
@@ -130,8 +131,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         if turns.is_nan() || turns.abs() > 65_536.0 {
             return Err(EncoderError::NoReference);
         }
-        let half = if turns < 0.0 { -0.5 } else { 0.5 };
-        let position = within + TURN * (turns + half) as i32;
+        let position = within + TURN * nearest(turns);
         self.position = Some(position);
         Ok(self.rad(position))
     }

@@ -2,6 +2,7 @@ use embedded_hal::digital::{Error as _, OutputPin};
 use embedded_hal::pwm::{Error as _, SetDutyCycle};
 use embedded_hal::spi::{Error as _, SpiDevice};
 use embedded_hal::{digital, pwm, spi};
+use foretorque::math::nearest;
 
 /// Output of the torque command to a current controller, signed and scaled to ±1.
 ///
@@ -109,13 +110,7 @@ impl<Spi: SpiDevice> SpiDac<Spi> {
 impl<Spi: SpiDevice> TorqueOutput for SpiDac<Spi> {
     fn command(&mut self, level: f32) -> Result<(), OutputError> {
         let half = i32::from(self.model.half());
-        let swing = bounded(level) * half as f32;
-        // Half away from zero, then truncated: the nearest integer, symmetric in sign.
-        let swing = if swing < 0.0 {
-            (swing - 0.5) as i32
-        } else {
-            (swing + 0.5) as i32
-        };
+        let swing = nearest(bounded(level) * half as f32);
         let code = (half + 1 + swing.min(half).max(-half)) as u16;
         let (bytes, count) = self.model.frame(code);
         let sent = self.spi.write(bytes.get(..count).unwrap_or_default());
@@ -191,8 +186,8 @@ impl<Pulse: SetDutyCycle, Pin: OutputPin> TorqueOutput for PwmWithDirection<Puls
     fn command(&mut self, level: f32) -> Result<(), OutputError> {
         let level = bounded(level);
         let largest = self.pulse.max_duty_cycle();
-        // Rounded to nearest: at most the largest duty, because |level| is at most 1.
-        let duty = (level.abs() * f32::from(largest) + 0.5) as u16;
+        // At most the largest duty, because |level| is at most 1.
+        let duty = nearest(level.abs() * f32::from(largest)) as u16;
         if duty == 0 {
             // The pin stays, so that noise around zero does not toggle it.
             return self.duty(0);

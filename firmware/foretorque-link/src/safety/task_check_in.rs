@@ -43,8 +43,7 @@ pub struct TaskCheckIn {
 }
 
 impl TaskCheckIn {
-    const ALL: u32 =
-        Task::Tick.bit() | Task::Learner.bit() | Task::Housekeeping.bit() | Task::Link.bit();
+    const ALL: u32 = (1 << Task::ALL.len()) - 1;
 
     /// No task has checked in.
     pub const fn new() -> Self {

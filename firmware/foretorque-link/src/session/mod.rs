@@ -122,9 +122,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.controller.safety.output()
     }
 
-    /// The fault to keep over a reset; [`SafetyReason::None`] when there is none.
+    /// The fault that has to be cleared before the board can be armed; [`SafetyReason::None`] when there is none.
     pub fn latched_fault(&self) -> SafetyReason {
         self.controller.safety.latched()
+    }
+
+    /// The fault to keep over a reset: the latched one. A damaged program is found anew at every start, and hides the fault
+    /// that was kept before, which stands until the host clears it.
+    pub fn kept_fault(&self) -> SafetyReason {
+        match self.latched_fault() {
+            SafetyReason::Image => self.board.kept_fault,
+            fault => fault,
+        }
     }
 
     /// Sets the torque to zero at once and latches a fault that the owner of the hardware has detected.

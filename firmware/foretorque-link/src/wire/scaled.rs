@@ -1,5 +1,6 @@
 //! Scaled integers of the cyclic frames: resolution 2^-BITS, saturating, with one code for "not a number".
 
+use foretorque::math::nearest;
 use serde::{Deserialize, Serialize};
 
 /// Signed integer of `BYTES` bytes in units of 2^-BITS, little endian on the wire.
@@ -22,18 +23,6 @@ pub type Acceleration = Scaled<2, 9>;
 
 /// Joint torque in N·m or motor current in A, resolution 2^-14 (61 µN·m, 61 µA), range ±512.
 pub type Effort = Scaled<3, 14>;
-
-/// Nearest integer, saturating; ties away from zero. `x` is not NaN.
-fn nearest(x: f32) -> i32 {
-    // Beyond 2^23 every f32 is an integer, and adding a half could round to the neighbour.
-    if x.abs() >= 8_388_608.0 {
-        x as i32
-    } else if x < 0.0 {
-        (x - 0.5) as i32
-    } else {
-        (x + 0.5) as i32
-    }
-}
 
 impl<const BYTES: usize, const BITS: u32> Scaled<BYTES, BITS> {
     /// Largest magnitude; the code below `-MAX_CODE` means "not a number".

@@ -5,9 +5,9 @@ use crate::div_u64_by_u32;
 /// Version, sequence number and message tag, bytes.
 pub const HEADER: usize = 4;
 /// CRC-32, COBS byte and delimiter, bytes.
-pub const TRAILER: usize = 6;
+const TRAILER: usize = 6;
 /// Part of a link that is left free, in per cent: for repeats and commands.
-pub const RESERVE_PERCENT: u64 = 30;
+const RESERVE_PERCENT: u64 = 30;
 
 /// Wire size of a frame whose message has `content` bytes behind the tag.
 pub const fn frame(content: usize) -> usize {

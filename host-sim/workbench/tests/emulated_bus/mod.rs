@@ -121,8 +121,10 @@ impl FrameBoard for Twin {
         self.board.send(bytes)?;
         let (session, drives) = self.board.parts();
         if !drives.ticked() {
-            let in_line = self.in_line.as_mut().filter(|_| !session.torque_enabled());
-            in_line.into_iter().for_each(InLine::clear);
+            if !session.torque_enabled() {
+                drives.rest();
+                self.in_line.iter_mut().for_each(InLine::clear);
+            }
             return Ok(());
         }
         let left = &mut self.left;

@@ -141,10 +141,10 @@ impl<B: Board> Tick<B> {
             self.brake_open = open;
             fault::release_brake::<B>(open);
         }
-        let latched = session.latched_fault();
-        if self.kept != latched {
-            self.kept = latched;
-            fault::keep_latched(latched);
+        let kept = session.kept_fault();
+        if self.kept != kept {
+            self.kept = kept;
+            fault::keep_latched(kept);
         }
         if session.reboot_wanted() {
             fault::leave::<B>(Reason::Requested, 0);

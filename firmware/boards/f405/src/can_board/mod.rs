@@ -41,19 +41,18 @@ use crate::link::{self, Receiver, Sender};
 use crate::pyboard::Pyboard;
 use ports::FramePort;
 
-/// Time for which a torque is added after the last tick, s: that without a reply after which a master ends it.
+/// Time for which a torque is added after the last tick, and for which a frame waits, s: that without a reply after which
+/// a master ends the torque.
 const EXPIRY_S: f32 = foretorque_link::bus::SILENCE_S;
-/// Most joints of an arm.
-const MOST: usize = 8;
 /// Frames that have arrived and wait for the tick; frames on their way to the ports.
 const ARRIVED: usize = 16;
 const LEAVING: usize = 4;
 /// The interrupt by which the tick wakes the task of the frames.
 const WAKE: Interrupt = Interrupt::CAN1_TX;
 
-/// A port has left its bus.
+/// A port has left its bus since the last tick.
 static OFF: AtomicBool = AtomicBool::new(false);
-/// Frames dropped on the way to the tick or to a bus that stood still. Wraps.
+/// Frames dropped on the way to the tick or to a bus that stood still, or overrun. Wraps.
 static LOST: AtomicU32 = AtomicU32::new(0);
 
 /// Orders of the tick to the task of the frames.
@@ -61,12 +60,12 @@ enum Order {
     /// Send a frame of the board.
     Send(u8, Frame),
     /// Add these torques, or none.
-    Add(Option<[f32; MOST]>),
+    Add(Option<[f32; JOINTS]>),
 }
 
 /// The task of the frames: both ports and what passes between them.
 struct FrameTask {
-    bridge: Bridge<FramePort, MOST>,
+    bridge: Bridge<FramePort, JOINTS>,
     orders: Receiver<LEAVING, Order>,
     arrived: Sender<ARRIVED, (u8, Frame)>,
 }
@@ -87,21 +86,23 @@ pub fn interrupt() {
         orders,
         arrived,
     } = task;
+    let now = counter::now();
     while let Some(order) = orders.take() {
         match order {
-            Order::Send(port, frame) => bridge.send(port, frame),
-            Order::Add(torques) => bridge.add(torques.as_ref(), counter::now()),
+            Order::Send(port, frame) => bridge.send(port, frame, now),
+            Order::Add(torques) => bridge.add(torques.as_ref(), now),
         }
     }
     let before = bridge.lost();
     let (mut any, mut full) = (false, 0);
-    bridge.pass(counter::now(), |port, frame| {
+    bridge.pass(now, |port, frame| {
         any = true;
         full += u32::from(!arrived.put((port, *frame)));
     });
     let off = bridge.ports().iter_mut().any(FramePort::is_off);
-    OFF.store(off, Ordering::Relaxed);
-    link::add(&LOST, full + bridge.lost().wrapping_sub(before));
+    // A bus that comes back between two ticks was off all the same.
+    OFF.fetch_or(off, Ordering::Relaxed);
+    LOST.fetch_add(full + bridge.lost().wrapping_sub(before), Ordering::Relaxed);
     if any {
         rtic::pend(TICK);
     }
@@ -147,7 +148,7 @@ impl Drive for BusDrive {
         let wiring = wiring();
         let role = wiring.as_ref().map_or(Role::InLine, |wiring| wiring.role);
         let ports = ports::start(clocks, wiring.as_ref());
-        let mut profiles = [None; MOST];
+        let mut profiles = [None; JOINTS];
         let joints = wiring.iter().flat_map(|wiring| &wiring.joints);
         for (slot, joint) in profiles.iter_mut().zip(joints) {
             *slot = joint.map(|joint| joint.drive);
@@ -166,7 +167,7 @@ impl Drive for BusDrive {
         // SAFETY: the interrupts that read it are still masked.
         unsafe {
             *task = Some(FrameTask {
-                bridge: Bridge::new(ports, in_line),
+                bridge: Bridge::new(ports, in_line, expiry),
                 orders,
                 arrived: arrive,
             });
@@ -200,11 +201,13 @@ impl Drive for BusDrive {
     fn follow(&mut self, session: &mut BoardSession) {
         let on = session.torque_enabled();
         switch(&mut self.enable, on);
+        // Frames that wait grow old, also where none arrives and none is sent.
+        rtic::pend(WAKE);
         let Self { drives, orders, .. } = self;
         let Some(drives) = &mut drives.0 else { return };
         let mut give = |order| {
             if !orders.put(order) {
-                link::add(&LOST, 1);
+                LOST.fetch_add(1, Ordering::Relaxed);
             }
             // It runs at once, so the next order finds room.
             rtic::pend(WAKE);
@@ -212,20 +215,14 @@ impl Drive for BusDrive {
         if !drives.ticked() {
             // A stop does not wait for the next tick.
             if !on {
+                drives.rest();
                 give(Order::Add(None));
             }
             return;
         }
-        let off = OFF.load(Ordering::Relaxed);
+        let off = OFF.swap(false, Ordering::Relaxed);
         let torques = drives.follow(session, off, |bus, frame| give(Order::Send(bus, *frame)));
-        let torques = torques.map(|torques| {
-            let mut all = [0.0; MOST];
-            for (to, from) in all.iter_mut().zip(&torques) {
-                *to = *from;
-            }
-            all
-        });
-        give(Order::Add(torques));
+        give(Order::Add(torques.map(Into::into)));
     }
 
     fn report() {
@@ -239,7 +236,7 @@ impl Drive for BusDrive {
 
 /// The wiring in the flash.
 fn wiring() -> Option<Wiring<JOINTS>> {
-    const BYTES: usize = Wiring::<MOST>::BYTES;
+    const BYTES: usize = Wiring::<JOINTS>::BYTES;
     unsafe extern "C" {
         static _wiring: [u8; BYTES];
     }

@@ -31,7 +31,7 @@ pub(super) enum FramePort {
     Can(Bxcan<Peripheral>),
     /// Serial port.
     Text(TextPort),
-    /// A controller that does not answer: frames wait for ever.
+    /// A controller that does not answer.
     Dead,
 }
 
@@ -49,17 +49,25 @@ impl FramePort {
 impl Port for FramePort {
     fn receive(&mut self) -> Option<Frame> {
         match self {
-            Self::Can(can) => Port::receive(can),
+            Self::Can(can) => can.receive(),
             Self::Text(text) => text.receive(),
             Self::Dead => None,
         }
     }
 
-    fn send(&mut self, frame: &Frame) -> bool {
+    fn send(&mut self, frame: &Frame, since: u32) -> bool {
         match self {
-            Self::Can(can) => Port::send(can, frame),
+            Self::Can(can) => can.send(frame, since),
             Self::Text(text) => text.send(frame),
             Self::Dead => false,
+        }
+    }
+
+    fn expire(&mut self, now: u32, timeout: u32) -> u32 {
+        match self {
+            Self::Can(can) => can.expire(now, timeout),
+            // Nothing stops a line.
+            Self::Text(_) | Self::Dead => 0,
         }
     }
 }
@@ -203,21 +211,24 @@ impl TextPort {
             self.uart.write(DR, byte.into());
             self.sent += 1;
         }
-        let unfinished = self.sent < self.sending.len();
+        let unfinished = self.sent < self.sending.len() || self.waiting_acks > 0;
         self.uart
             .write(CR1, if unfinished { ON | TXEIE } else { ON });
     }
-}
 
-impl Port for TextPort {
     fn receive(&mut self) -> Option<Frame> {
         self.pump();
         for _ in 0..CHUNK_BYTES {
             // Reading status and then data also clears the error flags (RM0090 30.6.1).
-            if self.uart.read(SR) & (RXNE | ORE) == 0 {
+            let status = self.uart.read(SR);
+            if status & (RXNE | ORE) == 0 {
                 return None;
             }
             let byte = self.uart.read(DR) as u8;
+            if status & RXNE == 0 {
+                // An overrun alone leaves the byte before it there.
+                continue;
+            }
             if byte != b'\n' {
                 self.overlong |= self.received.push(byte).is_err();
                 continue;

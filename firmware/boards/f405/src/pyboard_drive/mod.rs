@@ -17,7 +17,7 @@ use foretorque_link::hal::{
     StageError, TorqueScale,
 };
 use foretorque_link::session::LocalSensor;
-use stm32f4xx_hal::gpio::PinState;
+use stm32f4xx_hal::gpio::{PinState, Speed};
 use stm32f4xx_hal::pac::{SPI1, TIM1};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Rcc;
@@ -99,9 +99,10 @@ impl Board for PyboardDrive {
         // A line that is not plugged in is a fault. The open drain of the drive has its pull-up, 4.7 kΩ, on the drive's side.
         b.pb12.into_alternate::<1>().internal_pull_down(true);
         a.pa4.into_push_pull_output_in_state(PinState::High);
-        a.pa5.into_alternate::<5>();
+        // Faster than the 4 MHz of a pin after reset; the next step, 25 MHz, rings least (DS8626 table 50).
+        a.pa5.into_alternate::<5>().speed(Speed::Medium);
         a.pa6.into_alternate::<5>().internal_pull_up(true);
-        a.pa7.into_alternate::<5>();
+        a.pa7.into_alternate::<5>().speed(Speed::Medium);
         start_link(a.pa2, a.pa3);
     }
 }

@@ -120,6 +120,10 @@ impl SetDutyCycle for Pulse {
 
     fn set_duty_cycle(&mut self, duty: u16) -> Result<(), Infallible> {
         timer().ccr1().write(|w| w.ccr().set(duty));
+        if duty == 0 {
+            // Taken over at once, within a running pulse too: the direction may change next.
+            timer().egr().write(|w| w.ug().update());
+        }
         Ok(())
     }
 }

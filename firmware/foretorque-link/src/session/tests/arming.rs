@@ -343,3 +343,19 @@ fn m7_a_board_with_a_damaged_program_cannot_be_armed() {
         assert_eq!(board.session.torque_enabled(), reply == ACK);
     }
 }
+
+#[test]
+fn a_damaged_program_keeps_the_fault_of_before_and_not_itself() {
+    use SafetyReason::{Image, None, Stopped};
+    for (image, kept, kept_on) in [
+        (ImageStatus::Damaged, Stopped, Stopped),
+        (ImageStatus::Damaged, None, None),
+        (ImageStatus::Sound, Stopped, Stopped),
+    ] {
+        let board = Board::with(|board| (board.chip.image, board.kept_fault) = (image, kept));
+        let damaged = image == ImageStatus::Damaged;
+        let latched = if damaged { Image } else { kept };
+        assert_eq!(board.session.latched_fault(), latched);
+        assert_eq!(board.session.kept_fault(), kept_on);
+    }
+}

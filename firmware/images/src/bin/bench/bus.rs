@@ -38,9 +38,14 @@ impl Port for Mailbox {
     }
 
     #[inline(always)]
-    fn send(&mut self, frame: &Frame) -> bool {
+    fn send(&mut self, frame: &Frame, _: u32) -> bool {
         self.left = Some(*frame);
         true
+    }
+
+    #[inline(always)]
+    fn expire(&mut self, _: u32, _: u32) -> u32 {
+        0
     }
 }
 
@@ -75,7 +80,11 @@ impl Bus {
             controller: BusController::new(config, &Parameters::nominal::<Ur5>()).ok()?,
             mailbox: LearnerMailbox::new(),
             replies: [a, b, c, d, e, f],
-            bridge: Bridge::new([Mailbox::default(), Mailbox::default()], Some(in_line)),
+            bridge: Bridge::new(
+                [Mailbox::default(), Mailbox::default()],
+                Some(in_line),
+                u32::MAX,
+            ),
             command,
         });
         for _ in 0..START {

@@ -39,8 +39,6 @@ pub struct DriveTruth {
 pub struct SimulatedDrive {
     pub(super) truth: DriveTruth,
     pub(super) state: DriveState,
-    /// Switched on, where the first command is what enables it.
-    switched_on: bool,
     command: JointCommand,
     silent_s: f64,
     previous: Option<f64>,
@@ -54,8 +52,7 @@ impl SimulatedDrive {
     pub fn new(truth: DriveTruth) -> Self {
         Self {
             truth,
-            state: DriveState::Disabled,
-            switched_on: false,
+            state: switched_off(&truth.profile),
             command: JointCommand::default(),
             silent_s: 0.0,
             previous: None,
@@ -143,7 +140,7 @@ impl SimulatedDrive {
                     let step = f64::from(command.position - self.command.position);
                     command.velocity = (step / elapsed_s) as f32;
                 }
-                if self.state == DriveState::Disabled && self.switched_on {
+                if self.state == DriveState::SwitchedOn {
                     self.state = DriveState::Enabled;
                 }
                 // A drive that is off takes no command: the position of a later one must not wait here.
@@ -156,19 +153,18 @@ impl SimulatedDrive {
                 self.silent_s = 0.0;
                 if self.state == DriveState::Disabled {
                     self.command = JointCommand::default();
-                    self.switched_on = self.truth.profile.enabled_by_command();
-                    if !self.switched_on {
-                        self.state = DriveState::Enabled;
-                    }
+                    self.state = match self.truth.profile.protocol {
+                        Protocol::Cia402(_) => DriveState::SwitchedOn,
+                        _ => DriveState::Enabled,
+                    };
                 }
             }
             Request::Order(Order::Disable) => {
-                self.switched_on = false;
-                if self.state == DriveState::Enabled {
+                if !matches!(self.state, DriveState::Fault(_)) {
                     self.state = DriveState::Disabled;
                 }
             }
-            Request::Order(Order::ClearFault) => self.state = DriveState::Disabled,
+            Request::Order(Order::ClearFault) => self.state = switched_off(&self.truth.profile),
             Request::Order(Order::ReadScale(scale)) => {
                 if let Some(value) = scale_of(&self.truth.profile, scale) {
                     self.truth.profile.reply_scale(scale, value, &mut answer);
@@ -187,6 +183,14 @@ impl SimulatedDrive {
         };
         self.truth.profile.reply(&reply, &mut answer);
         answer
+    }
+}
+
+/// State of a drive that has no order yet.
+fn switched_off(profile: &DriveProfile) -> DriveState {
+    match profile.protocol {
+        Protocol::Cia402(_) => DriveState::NotReady,
+        _ => DriveState::Disabled,
     }
 }
 
