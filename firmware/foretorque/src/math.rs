@@ -202,11 +202,13 @@ pub fn tanh_1_5_15(x: f32) -> [f32; 3] {
 }
 
 /// Integer nearest to `x`, halves away from zero; saturates, and is 0 for NaN.
+// Has many callers, which share one copy.
+#[inline(never)]
 pub fn nearest(x: f32) -> i32 {
     // Beyond 2^23 every f32 is an integer, and adding a half could round to the neighbour.
-    let half = if x.abs() < 8_388_608.0 { 0.5 } else { 0.0 };
+    let half = if x.abs() < 8_388_608.0 { 0.5_f32 } else { 0.0 };
     // The cast truncates and saturates.
-    (x + half * x.signum()) as i32
+    (x + half.copysign(x)) as i32
 }
 
 /// Square root of `x`.
