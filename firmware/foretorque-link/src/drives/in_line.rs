@@ -2,7 +2,8 @@
 //!
 //! Only the torque field of a motion command changes, and only while a torque is set that is younger than the time-out.
 //! Otherwise, and for every other frame, the bytes that leave are the bytes that came. The torque field is that of MIT,
-//! CyberGear, RobStride, ODrive and moteus, there where the host sends one. Commands of CiA 402 pass unchanged.
+//! CyberGear, RobStride, ODrive and moteus, there where the host sends one; moteus' needs a position too. Commands of CiA 402
+//! pass unchanged.
 
 use super::frame::carried;
 use super::{DriveProfile, Frame, JointCommand, Protocol, Request, cybergear, mit, moteus, odrive};

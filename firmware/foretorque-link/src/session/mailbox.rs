@@ -17,7 +17,8 @@ struct Restart<const N: usize, const P: usize> {
 
 /// Everything that the tick shares with tasks of lower priority; on a board the one locked resource.
 ///
-/// Every lock is a copy at most. The learner's task is
+/// Every lock is a copy at most, but the first after a restart was asked for: the learner starts over in it. No torque flows
+/// then. The learner's task is
 ///
 /// ```text
 /// while let Some(sample) = lock(|mailboxes| mailboxes.learner.begin(&mut learner)) {
@@ -122,7 +123,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
         let _ = learner.restart_for_arm(period_s, &set, &start);
     }
 
-    /// The next learning sample; before it, the learner takes over a restart or request. One copy at most.
+    /// The next learning sample; before it, the learner takes over a request, one copy at most, or starts over.
     pub fn begin<A: Arm<N, P>>(
         &mut self,
         learner: &mut Learner<A, N, P>,

@@ -49,7 +49,7 @@ pub struct LinkCapacity {
 impl LinkCapacity {
     /// No limit, as between two processes.
     pub const UNLIMITED: Self = Self::stream(0);
-    /// Bytes of telemetry in one period where there is no limit: a record of all fields of seven joints.
+    /// Bytes of telemetry in one period where there is no limit: a record of all fields of eight joints.
     const UNLIMITED_LEFT: usize = 400;
 
     /// A stream of `bytes_s` bytes a second, which carries every frame of the protocol.

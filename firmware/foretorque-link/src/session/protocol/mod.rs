@@ -233,8 +233,8 @@ impl Transfer {
         self.direction = Direction::Idle;
     }
 
-    /// Takes the next chunk of an upload. Offset 0 begins anew. A repeated chunk does no harm, so a host whose
-    /// acknowledgement was lost may send it again.
+    /// Takes the next chunk of an upload. Offset 0 begins anew. A host whose acknowledgement was lost
+    /// may send the last chunk again; an earlier one drops those behind it.
     pub(super) fn write(&mut self, offset: u16, chunk: &[u8]) -> Result<(), NackReason> {
         if offset == 0 {
             self.direction = Direction::Up;
