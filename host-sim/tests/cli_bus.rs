@@ -148,6 +148,9 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         let joints: Vec<bool> = wiring.joints.iter().map(Option::is_some).collect();
         let all = more.is_empty();
         assert_eq!(joints, [all, true, all, all, all, all]);
+        // Three drives on each bus, commands and replies of 135 bits at most.
+        let shortest_us = if all { 3 * 2 * 135 } else { 0 };
+        assert_eq!(wiring.shortest_period_us, shortest_us);
         bytes[5] ^= 1;
         assert_eq!(Wiring::<6>::decode(&bytes), None);
     }

@@ -42,6 +42,11 @@ pub trait Drive: Sized + Send {
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
     fn start(clocks: &Clocks) -> Option<Self>;
 
+    /// Shortest period that the drives follow, µs.
+    fn shortest_period_us(&self) -> u32 {
+        0
+    }
+
     /// Take the reports of drives on a bus, and pass faults of stage and encoder to the session; before each tick.
     fn watch(&mut self, session: &mut BoardSession);
 

@@ -8,6 +8,7 @@ use crate::copy;
 use crate::drives::{Frame, Request};
 use crate::safety::{COMMAND_TIMEOUT_US, SafetyReason, SafetyState};
 use crate::session::{Clock, LocalSensor, Session};
+use crate::wire::CRC;
 use core::marker::PhantomData;
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -42,6 +43,8 @@ pub struct Wiring<const N: usize> {
     pub wires: Wires,
     /// Bit rate of the CAN controllers, bit/s.
     pub bit_s: u32,
+    /// Shortest period in which the buses carry commands and replies, µs; 0 where another host sends the commands.
+    pub shortest_period_us: u32,
     /// Drives of the joints, base to tool; `None` where a joint has its drive elsewhere.
     pub joints: heapless::Vec<Option<BusJoint>, N>,
 }
@@ -66,8 +69,6 @@ impl<const N: usize> Wiring<N> {
         sound.then_some(wiring)
     }
 }
-
-const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
 enum Side<const N: usize> {
     Master(BusDrives<N>),

@@ -335,6 +335,7 @@ impl Board {
             role,
             wires: Wires::Can,
             bit_s: 1_000_000,
+            shortest_period_us: 0,
             joints: config.joints.map(Some).into_iter().collect(),
         };
         Self {

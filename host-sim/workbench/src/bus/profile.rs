@@ -185,10 +185,18 @@ impl Profile {
             Some(own) => self.bus[usize::from(own.bus)],
             None => self.common_rates()?,
         };
+        let mut busy_s = [0.0; 2];
+        for joint in joints.iter().flatten() {
+            busy_s[usize::from(joint.bus)] += frames_s(&joint.drive, &rates);
+        }
         Ok(Wiring {
             role,
             wires,
             bit_s: rates.nominal as u32,
+            shortest_period_us: match role {
+                Role::Master => (1e6 * busy_s.into_iter().fold(0.0, f64::max)).round() as u32,
+                Role::InLine => 0,
+            },
             joints: joints.into_iter().collect(),
         })
     }

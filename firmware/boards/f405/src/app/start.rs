@@ -80,7 +80,7 @@ pub fn start<B: Board>(
     let clocks = clock::start(&chip.RCC, &chip.FLASH, B::CRYSTAL_HZ);
     let emulated = clocks.source == ClockSource::Virtual;
     let seed = key_slot::seed(&chip.RNG, &chip.RCC, emulated);
-    let status = clock::status(&clocks, &chip.FLASH);
+    let mut status = clock::status(&clocks, &chip.FLASH);
 
     chip.RCC.apb1enr().modify(|_, w| {
         w.usart2en()
@@ -100,6 +100,7 @@ pub fn start<B: Board>(
     let Some(mut drive) = B::Drive::start(&clocks) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
+    status.shortest_period_us = status.shortest_period_us.max(drive.shortest_period_us());
 
     let (counter, counter_hz) = if emulated {
         (counter::start_instructions(&chip.TIM2), 0)

@@ -113,6 +113,8 @@ pub struct BusDrive {
     enable: TorqueEnable<EnablePin<CanBoard>>,
     /// `None` without a wiring in the flash.
     drives: Sensor,
+    /// That of the wiring, µs.
+    shortest_period_us: u32,
     orders: Sender<LEAVING, Order>,
     arrived: Receiver<ARRIVED, (u8, Frame)>,
 }
@@ -178,9 +180,14 @@ impl Drive for BusDrive {
         Some(Self {
             enable,
             drives: Sensor(wiring.as_ref().map(BoardDrives::new)),
+            shortest_period_us: wiring.map_or(0, |wiring| wiring.shortest_period_us),
             orders: order,
             arrived,
         })
+    }
+
+    fn shortest_period_us(&self) -> u32 {
+        self.shortest_period_us
     }
 
     fn watch(&mut self, _: &mut BoardSession) {
