@@ -90,23 +90,24 @@ impl Wire {
         let status = self.usart.sr().read();
         let mut delimiter = false;
         let mut received = false;
-        if status.rxne().bit_is_set() || status.ore().bit_is_set() {
+        if status.rxne().bit_is_set() {
             // Reading status and then data also clears the error flags (RM0090 30.6.1).
             let byte = self.usart.dr().read().bits() as u8;
             if status.ore().bit_is_set() {
                 add(&RECEIVED.overruns, 1);
             }
-            // An overrun alone leaves the byte before it there.
-            received = status.rxne().bit_is_set();
-            if received {
-                let taken = self.received.put(byte);
-                let ReceiveCounters { bytes, lost, .. } = &RECEIVED;
-                add(if taken { bytes } else { lost }, 1);
-                delimiter = byte == 0;
-                if delimiter {
-                    ENDED_AT.store(start, Ordering::Relaxed);
-                }
+            let taken = self.received.put(byte);
+            let ReceiveCounters { bytes, lost, .. } = &RECEIVED;
+            add(if taken { bytes } else { lost }, 1);
+            delimiter = byte == 0;
+            if delimiter {
+                ENDED_AT.store(start, Ordering::Relaxed);
             }
+            received = true;
+        } else if status.ore().bit_is_set() {
+            // The byte there is the one before, and was taken.
+            self.usart.dr().read();
+            add(&RECEIVED.overruns, 1);
         }
         let sending = self.usart.cr1().read().txeie().bit_is_set();
         let sent = self.transmit();
