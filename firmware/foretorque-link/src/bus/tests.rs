@@ -157,9 +157,10 @@ impl Drives {
                         joint.drive.reply_scale(scale, 12.0, &mut frames);
                     }
                     Request::Order(Order::Enable) if canopen => {
-                        if self.states[j] == DriveState::Disabled {
-                            self.states[j] = DriveState::SwitchedOn;
-                        }
+                        self.states[j] = match self.states[j] {
+                            DriveState::Disabled => DriveState::SwitchedOn,
+                            other => other,
+                        };
                     }
                     Request::Order(Order::Disable) if canopen => {
                         (self.on[j], self.states[j]) = (false, DriveState::Disabled);
