@@ -213,7 +213,7 @@ impl ParameterBank {
         let mut gains = [0.0; N];
         for (joint, gain) in gains.iter_mut().enumerate() {
             *gain = match self.drive_gains_nm_a.get(joint) {
-                Some(&gain) if gain.is_finite() && gain >= 0.0 => gain,
+                Some(&gain) if (0.0..=f32::MAX).contains(&gain) => gain,
                 _ => return Err(BankError::DriveGain(joint as u8)),
             };
         }

@@ -102,7 +102,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
     /// Errors: [`EncoderError::Configuration`].
     pub fn new(spi: Spi, config: EncoderConfig) -> Result<Self, EncoderError> {
         let step = i32::from(config.largest_step);
-        let ratio_usable = config.ratio > 0.0 && config.ratio.is_finite();
+        let ratio_usable = config.ratio > 0.0 && config.ratio <= f32::MAX;
         if !ratio_usable || step == 0 || step >= TURN / 2 || i32::from(config.zero_counts) >= TURN {
             return Err(EncoderError::Configuration);
         }
