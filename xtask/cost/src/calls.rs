@@ -201,7 +201,12 @@ impl<'a> Walk<'a> {
                 }
                 Flow::CallIndirect => self.unknown(entry, address, INDIRECT_CALL),
                 Flow::JumpIndirect => self.unknown(entry, address, INDIRECT_JUMP),
-                Flow::Table { halfwords } => targets = self.table(address, halfwords, &code),
+                Flow::Table { halfwords, base } => {
+                    targets = self.table(address, base, halfwords, &code);
+                    if targets.is_empty() {
+                        self.unknown(entry, address, INDIRECT_JUMP);
+                    }
+                }
             }
             for &target in &targets {
                 if code.contains(&target) {
@@ -228,10 +233,13 @@ impl<'a> Walk<'a> {
     ///
     /// The table ends where the first of its targets begins, or earlier if padding or constants follow it: as offsets,
     /// those point into the table or out of the function.
-    fn table(&self, address: u32, halfwords: bool, code: &Range<u32>) -> Vec<u32> {
-        let base = address + 4;
+    fn table(&self, address: u32, base: u32, halfwords: bool, code: &Range<u32>) -> Vec<u32> {
         let mut targets: Vec<u32> = Vec::new();
-        for entry in (base..).step_by(if halfwords { 2 } else { 1 }) {
+        let Some(start) = self.table_start(address, base) else {
+            return targets;
+        };
+        let base = address + 4;
+        for entry in (start..).step_by(if halfwords { 2 } else { 1 }) {
             let mask = if halfwords { 0xFFFF } else { 0xFF };
             let offset = self
                 .image
@@ -245,6 +253,20 @@ impl<'a> Walk<'a> {
             targets.push(target);
         }
         targets
+    }
+
+    /// Start of the table of the branch at `address`: behind it, or where `addw base, pc, #imm` just before it points.
+    fn table_start(&self, address: u32, base: u32) -> Option<u32> {
+        const PC: u32 = 15;
+        if base == PC {
+            return Some(address + 4);
+        }
+        let before = address - 4;
+        let [first, second] = [before, before + 2].map(|at| self.image.halfword(at).map(u32::from));
+        let (first, second) = (first?, second?);
+        let adds = first & 0xFBFF == 0xF20F && second & 0x8F00 == base << 8;
+        let offset = (first & 0x400) << 1 | (second & 0x7000) >> 4 | second & 0xFF;
+        adds.then_some(((before + 4) & !3) + offset)
     }
 }
 
@@ -346,6 +368,14 @@ mod tests {
             0xB510, 0xBD10, // push {r4, lr}; pop {r4, pc}
         ];
         assert_eq!(depth_and_unknown(&caller), (8, String::new()));
+        // addw r3, pc, #12; tbh [r3, r2, lsl #1], two constants, the table, its cases
+        let caller = [
+            0xF20F, 0x030C, 0xE8D3, 0xF012, 0, 0, 0, 0, 6, 7, 0x4770, 0xB510, 0xBD10,
+        ];
+        assert_eq!(depth_and_unknown(&caller), (8, String::new()));
+        // The same through a register that other code sets.
+        let caller = [0xE8D3, 0xF012, 2, 3, 0x4770, 0xB510, 0xBD10];
+        assert_eq!(depth_and_unknown(&caller), (0, INDIRECT_JUMP.into()));
         // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
         let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
         assert_eq!(depth_and_unknown(&caller), (8, String::new()));

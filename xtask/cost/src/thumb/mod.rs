@@ -93,8 +93,9 @@ pub(crate) enum Flow {
     CallIndirect,
     /// To an address that the code does not fix.
     JumpIndirect,
-    /// Through the table of offsets (of two bytes or one) behind the instruction.
-    Table { halfwords: bool },
+    /// Through the table of offsets (of two bytes or one) at the address in register `base`; that of the program counter is
+    /// behind the instruction.
+    Table { halfwords: bool, base: u32 },
     /// To the caller, or out of an exception.
     Return,
     /// Nowhere: permanently undefined.
@@ -326,7 +327,9 @@ impl Encoding {
             }
             Kind::Table => {
                 let halfwords = self.field(b'h') == 1;
-                (made.class, made.flow) = (Class::TableBranch, Flow::Table { halfwords });
+                let base = self.field(b'n');
+                let flow = Flow::Table { halfwords, base };
+                (made.class, made.flow) = (Class::TableBranch, flow);
             }
             Kind::IfThen => {
                 let count = 4 - self.field(b'i').trailing_zeros();
@@ -429,19 +432,21 @@ mod tests {
 
     #[test]
     fn control_goes_where_the_encoding_says() {
+        let table = |halfwords, base| Flow::Table { halfwords, base };
         for (first, second, flow) in [
-            (0xF7FF, 0xFFFE, Flow::Call(0x0800_4000)),          // bl .
-            (0xE7FE, 0, Flow::Jump(0x0800_4000)),               // b .
-            (0xD0FE, 0, Flow::Branch(0x0800_4000)),             // beq .
-            (0xF43F, 0xAFFE, Flow::Branch(0x0800_4000)),        // beq.w .
-            (0xB100, 0, Flow::Branch(0x0800_4004)),             // cbz r0, .+4
-            (0x4770, 0, Flow::Return),                          // bx lr
-            (0xBD80, 0, Flow::Return),                          // pop {r7, pc}
-            (0x4790, 0, Flow::CallIndirect),                    // blx r2
-            (0x4710, 0, Flow::JumpIndirect),                    // bx r2
-            (0xE8DF, 0xF000, Flow::Table { halfwords: false }), // tbb [pc, r0]
-            (0xE8DF, 0xF011, Flow::Table { halfwords: true }),  // tbh [pc, r1, lsl #1]
-            (0xDEFE, 0, Flow::Stop),                            // udf #254
+            (0xF7FF, 0xFFFE, Flow::Call(0x0800_4000)),   // bl .
+            (0xE7FE, 0, Flow::Jump(0x0800_4000)),        // b .
+            (0xD0FE, 0, Flow::Branch(0x0800_4000)),      // beq .
+            (0xF43F, 0xAFFE, Flow::Branch(0x0800_4000)), // beq.w .
+            (0xB100, 0, Flow::Branch(0x0800_4004)),      // cbz r0, .+4
+            (0x4770, 0, Flow::Return),                   // bx lr
+            (0xBD80, 0, Flow::Return),                   // pop {r7, pc}
+            (0x4790, 0, Flow::CallIndirect),             // blx r2
+            (0x4710, 0, Flow::JumpIndirect),             // bx r2
+            (0xE8DF, 0xF000, table(false, 15)),          // tbb [pc, r0]
+            (0xE8DF, 0xF011, table(true, 15)),           // tbh [pc, r1, lsl #1]
+            (0xE8D3, 0xF012, table(true, 3)),            // tbh [r3, r2, lsl #1]
+            (0xDEFE, 0, Flow::Stop),                     // udf #254
         ] {
             assert_eq!(decode(0x0800_4000, first, second).flow, flow, "{first:04x}");
         }
