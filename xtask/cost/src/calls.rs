@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use crate::image::Image;
-use crate::thumb::{Class, Flow, Stack};
+use crate::thumb::{Class, Flow, Registers, Stack};
 
 /// Reasons of an unknown.
 const INDIRECT_CALL: &str = "calls through a pointer";
@@ -255,18 +255,32 @@ impl<'a> Walk<'a> {
         targets
     }
 
-    /// Start of the table of the branch at `address`: behind it, or where `addw base, pc, #imm` just before it points.
+    /// Start of the table of the branch at `address`: behind it, or where `addw base, pc, #imm` shortly before it points.
     fn table_start(&self, address: u32, base: u32) -> Option<u32> {
+        /// Most bytes from that instruction to the branch.
+        const NEAR: u32 = 16;
         const PC: u32 = 15;
         if base == PC {
             return Some(address + 4);
         }
-        let before = address - 4;
-        let [first, second] = [before, before + 2].map(|at| self.image.halfword(at).map(u32::from));
-        let (first, second) = (first?, second?);
-        let adds = first & 0xFBFF == 0xF20F && second & 0x8F00 == base << 8;
-        let offset = (first & 0x400) << 1 | (second & 0x7000) >> 4 | second & 0xFF;
-        adds.then_some(((before + 4) & !3) + offset)
+        let kept_from = |from: u32| {
+            let mut at = from;
+            while at < address {
+                let between = self.image.instruction(at)?;
+                let changed = between.writes.meets(Registers::core(base));
+                at += (!changed && between.flow == Flow::Next).then_some(between.size)?;
+            }
+            (at == address).then_some(())
+        };
+        (4..=NEAR).step_by(2).find_map(|distance| {
+            let from = address - distance;
+            let [first, second] = [from, from + 2].map(|at| self.image.halfword(at));
+            let (first, second) = (u32::from(first?), u32::from(second?));
+            let adds = first & 0xFBFF == 0xF20F && second & 0x8F00 == base << 8;
+            adds.then_some(()).and_then(|()| kept_from(from + 4))?;
+            let offset = (first & 0x400) << 1 | (second & 0x7000) >> 4 | second & 0xFF;
+            Some(((from + 4) & !3) + offset)
+        })
     }
 }
 
@@ -373,9 +387,18 @@ mod tests {
             0xF20F, 0x030C, 0xE8D3, 0xF012, 0, 0, 0, 0, 6, 7, 0x4770, 0xB510, 0xBD10,
         ];
         assert_eq!(depth_and_unknown(&caller), (8, String::new()));
+        // A move of another register between the two, or of this one.
+        let between = |moved: u16| {
+            [
+                0xF20F, 0x0308, moved, 0xE8D3, 0xF012, 0xBF00, 3, 4, 0x4770, 0xB510, 0xBD10,
+            ]
+        };
+        assert_eq!(depth_and_unknown(&between(0x4696)), (8, String::new()));
+        let unread = (0, INDIRECT_JUMP.into());
+        assert_eq!(depth_and_unknown(&between(0x4613)), unread);
         // The same through a register that other code sets.
         let caller = [0xE8D3, 0xF012, 2, 3, 0x4770, 0xB510, 0xBD10];
-        assert_eq!(depth_and_unknown(&caller), (0, INDIRECT_JUMP.into()));
+        assert_eq!(depth_and_unknown(&caller), unread);
         // tbb [pc, r0] with three cases, the first of them a return, and a byte of padding
         let caller = [0xE8DF, 0xF000, 0x0302, 0x0002, 0x4770, 0xB510, 0xBD10];
         assert_eq!(depth_and_unknown(&caller), (8, String::new()));

@@ -17,7 +17,7 @@ pub(crate) const PC: u32 = 15;
 impl Registers {
     pub(crate) const NONE: Self = Self(0);
 
-    fn core(number: u32) -> Self {
+    pub(crate) fn core(number: u32) -> Self {
         Self(1 << (number & 15))
     }
 
