@@ -298,7 +298,7 @@ fn an_emergency_stop_replaces_a_request_that_waits() {
 }
 
 #[test]
-fn the_learner_tells_its_state_and_takes_requests() {
+fn the_learner_reports_its_state_and_takes_requests() {
     use ForetorqueStatus::{NoDecision, Null, Ok, Pending, Request};
     let mut program = Program::new();
     let fresh = program.written(foretorque_quality);

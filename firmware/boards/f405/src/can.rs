@@ -1,7 +1,7 @@
 //! bxCAN of the STM32F405: two controllers for classic frames, with bounded waits. Source: RM0090, chapter 32.
 //!
-//! Frames leave in the order in which they are given, those that wait for too long are taken back, and every frame of the bus is received: CAN1 through filter bank 0,
-//! CAN2 through bank 14, both into FIFO 0. The banks of both belong to CAN1, so CAN1 starts first. The driver works on
+//! Frames leave in the order in which they are given, and those that wait for too long are taken back. Every frame of the bus
+//! is received: CAN1 through filter bank 0, CAN2 through bank 14, both into FIFO 0. The banks of both belong to CAN1, so CAN1 starts first. The driver works on
 //! [`Registers`]; on the host a model of the peripheral stands in. It has not run on silicon.
 
 use foretorque_link::drives::Frame;

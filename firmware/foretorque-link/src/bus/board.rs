@@ -127,7 +127,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
 
     /// Lets the drives of a master damp where they follow. Called after each message of the host that leaves the torque off,
     /// so that an end of the torque between two ticks is seen: the drives then start softly again.
-    pub fn rest(&mut self) {
+    pub fn damp(&mut self) {
         if let Side::Master(drives) = &mut self.side {
             drives.damp();
         }

@@ -215,9 +215,9 @@ impl Study<'_> {
 
 /// Place of the method for the bank, of those the board can run: the one with the least mean error on the validation logs.
 ///
-/// Without such logs, or motion in them, the stretches of the training logs that were held out decide. Differences within the standard error
-/// of the least mean error do not count: of these methods the most constrained one is taken, the physically consistent
-/// parameters first [Hastie, Tibshirani, Friedman 2009, §7.10].
+/// Without such logs, or motion in them, the stretches of the training logs that were held out decide. Differences within the
+/// standard error of the least mean error do not count: of these methods the most constrained one is taken, the physically
+/// consistent parameters first [Hastie, Tibshirani, Friedman 2009, §7.10].
 pub(super) fn recommended(results: &[MethodResult], methods: &Methods) -> usize {
     let record = |place: usize| &methods[&results[place].name.to_string()];
     let on_board = |place: &usize| !matches!(results[*place].candidate, Candidate::BlackBox(_));

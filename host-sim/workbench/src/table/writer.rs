@@ -1,6 +1,7 @@
 //! Writing a table: CSV, and MCAP with the columns of each topic as one JSON message a row, at the time of the row.
 //!
-//! Numbers in an MCAP are those of the CSV, digit by digit; its times count from a first row before zero, as it has no negative ones. Chunks are small, so that a file that was cut reads almost to its end.
+//! Numbers in an MCAP are those of the CSV, digit by digit. It has no negative times: where the first row is before zero, they
+//! count from that row. Chunks are small, so that a file that was cut reads almost to its end.
 
 use super::is_compressed;
 use crate::files::WholeFile;

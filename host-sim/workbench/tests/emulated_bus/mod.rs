@@ -122,7 +122,7 @@ impl FrameBoard for Twin {
         let (session, drives) = self.board.parts();
         if !drives.ticked() {
             if !session.torque_enabled() {
-                drives.rest();
+                drives.damp();
                 self.in_line.iter_mut().for_each(InLine::clear);
             }
             return Ok(());

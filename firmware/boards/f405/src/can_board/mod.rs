@@ -222,7 +222,7 @@ impl Drive for BusDrive {
         if !drives.ticked() {
             // A stop does not wait for the next tick.
             if !on {
-                drives.rest();
+                drives.damp();
                 give(Order::Add(None));
             }
             return;

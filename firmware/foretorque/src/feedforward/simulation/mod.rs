@@ -157,9 +157,17 @@ struct Plant {
     body: BaseParameters<P>,
     /// Torque from outside, N·m; positive accelerates +q.
     push: [f64; N],
-    /// Rate at which the trajectory is played, and the one it goes to within 0.3 s; its time, s.
-    rate: [f64; 2],
+    /// From the first stop on.
+    playback: Option<Playback>,
+}
+
+/// Playback of the trajectory at a rate of its own.
+struct Playback {
+    /// Time on the trajectory, s.
     time: f64,
+    /// Present rate, and the one it goes to within 0.3 s: 0 at a stop, 1 in motion.
+    rate: f64,
+    wanted: f64,
 }
 
 impl Plant {
@@ -170,36 +178,34 @@ impl Plant {
             drive,
             body: Ur5::NOMINAL.into(),
             push: [0.0; N],
-            rate: [1.0; 2],
-            time: 0.0,
+            playback: None,
         }
     }
 
-    /// Motion of `tick`; after a stop, that of the time played so far.
+    /// Motion of `tick`; from the first stop on, that of the playback.
     fn desired(&mut self, tick: u32) -> JointMotion<N> {
-        let [rate, wanted] = self.rate;
-        if [rate, wanted] == [1.0; 2] && self.time == 0.0 {
+        let Some(Playback { time, rate, wanted }) = &mut self.playback else {
             return self.trajectory.motion(f64::from(tick) * PERIOD);
-        }
-        let growth = ((wanted - rate) / PERIOD).clamp(-1.0 / 0.3, 1.0 / 0.3);
-        let rate = rate + growth * PERIOD;
-        self.rate[0] = rate;
-        self.time += rate * PERIOD;
-        let motion = self.trajectory.motion(self.time);
-        let qdd = motion.qdd * (rate * rate) as f32 + motion.qd * growth as f32;
+        };
+        let growth = ((*wanted - *rate) / PERIOD).clamp(-1.0 / 0.3, 1.0 / 0.3);
+        *rate += growth * PERIOD;
+        *time += *rate * PERIOD;
+        let (motion, scale) = (self.trajectory.motion(*time), *rate as f32);
         JointMotion {
             q: motion.q,
-            qd: motion.qd * rate as f32,
-            qdd,
+            qd: motion.qd * scale,
+            qdd: motion.qdd * (scale * scale) + motion.qd * growth as f32,
         }
     }
 
-    /// Play the trajectory from the time of `tick` on, to a stop or on from one.
+    /// Bring the trajectory to a stop, from the time of `tick` on, or let it go on.
     fn play(&mut self, tick: u32, plays: bool) {
-        if self.time == 0.0 {
-            self.time = f64::from(tick) * PERIOD;
-        }
-        self.rate[1] = f64::from(u8::from(plays));
+        let playback = self.playback.get_or_insert(Playback {
+            time: f64::from(tick) * PERIOD,
+            rate: 1.0,
+            wanted: 1.0,
+        });
+        playback.wanted = f64::from(u8::from(plays));
     }
 
     fn sample(&mut self, tick: u32) -> JointSample<N> {
