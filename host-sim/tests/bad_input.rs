@@ -1,10 +1,7 @@
 //! Messages about unusable input, a terminal that hangs up, a board that dies, and a program that is ended: one line, no panic,
 //! nothing half written, no emulator left behind.
 
-use crate::{
-    assert_contains, command, directory, failure, host_sim, refused, soon, still, succeeds, text,
-    write,
-};
+use crate::{Directory, assert_contains, failure, soon, still};
 use foretorque_workbench::board::qemu::Image;
 use nix::sys::signal::{SigHandler, Signal, kill, signal};
 use nix::unistd::Pid;
@@ -57,7 +54,7 @@ fn with_torques(rows: &mut [Vec<String>]) {
 
 #[test]
 fn bad_input_is_told_in_one_line_and_leaves_nothing() {
-    let here = directory("input");
+    let here = Directory::new("input");
     let set = |row: usize, column: usize, text: &'static str| {
         move |rows: &mut Vec<Vec<String>>| rows[row][column] = text.to_owned()
     };
@@ -87,14 +84,14 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("file", String::new()),
         ("bank.bin", "no bank at all".to_owned()),
     ] {
-        write(here.join(name), text);
+        here.write(name, text);
     }
     let before = files(&here);
     let lines = include_str!("mistyped.txt").lines();
     for case in lines.filter(|line| !line.starts_with('#')) {
         let mut words = case.split(" | ");
         let arguments = words.next().expect("a command line");
-        let output = command(&here, arguments).output().expect("it starts");
+        let output = here.command(arguments).output().expect("it starts");
         let stderr = line(arguments, &output);
         for word in words {
             assert_contains(&stderr, word);
@@ -106,8 +103,8 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
 
 #[test]
 fn a_missing_emulator_is_told_in_one_line() {
-    let here = directory("emulator");
-    write(here.join("good.csv"), table(|_| {}));
+    let here = Directory::new("emulator");
+    here.write("good.csv", table(|_| {}));
     assert!(Image::Bulk.default_elf().is_file(), "the firmware is built");
     let before = files(&here);
     for arguments in [
@@ -115,7 +112,7 @@ fn a_missing_emulator_is_told_in_one_line() {
         "run --robot ur5 --board qemu-usart --trajectory validation --out out",
         "experiment demo --out out",
     ] {
-        let output = command(&here, arguments).env("PATH", &here).output();
+        let output = here.command(arguments).env("PATH", &*here).output();
         let stderr = line(arguments, &output.expect("it starts"));
         assert_contains(&stderr, "qemu-system-arm");
         assert!(files(&here) == before, "`{arguments}` left something");
@@ -124,7 +121,7 @@ fn a_missing_emulator_is_told_in_one_line() {
 
 #[test]
 fn a_terminal_that_hangs_up_is_no_failure() {
-    let here = directory("pipe");
+    let here = Directory::new("pipe");
     let hung_up = |mut command: Command| {
         let (reader, writer) = std::io::pipe().expect("the system has pipes");
         drop(reader);
@@ -142,7 +139,7 @@ fn a_terminal_that_hangs_up_is_no_failure() {
         "bank out/bank.bin",
         "experiment demo --board native --learning-s 1 --usart-learning-s 1 --out demo",
     ] {
-        hung_up(command(&here, arguments));
+        hung_up(here.command(arguments));
     }
     for done in ["out/report.html", "demo/report.json"] {
         assert!(here.join(done).is_file(), "{done}");
@@ -151,18 +148,17 @@ fn a_terminal_that_hangs_up_is_no_failure() {
 
 #[test]
 fn an_interrupted_run_leaves_nothing() {
-    let here = directory("interrupted");
+    let here = Directory::new("interrupted");
     let arguments = "simulate --robot ur5 --trajectory validation --out log.csv";
     // Some of the signals come while the file is being made.
     for delay in (0..20).map(|k| Duration::from_micros(100 * (k % 4))) {
-        let child = command(&here, arguments).stderr(Stdio::piped()).spawn();
+        let child = here.command(arguments).stderr(Stdio::piped()).spawn();
         let mut child = child.expect("it starts");
         while files(&here).is_empty() {
             assert!(child.try_wait().expect("it is ours").is_none(), "it ended");
         }
         std::thread::sleep(delay);
-        let id = Pid::from_raw(child.id().cast_signed());
-        kill(id, Signal::SIGINT).expect("it is ours");
+        kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT).expect("it is ours");
         let output = child.wait_with_output().expect("it ends");
         assert_eq!(output.status.signal(), Some(Signal::SIGINT as i32));
         assert!(files(&here).is_empty(), "{:?}", files(&here));
@@ -171,10 +167,10 @@ fn an_interrupted_run_leaves_nothing() {
 
 #[test]
 fn results_go_through_what_is_no_file() {
-    let here = directory("through");
+    let here = Directory::new("through");
     let simulate = "simulate --robot ur5 --trajectory validation --duration-s 0.01 --out";
     let run = |out: &str| {
-        let output = command(&here, &format!("{simulate} {out}")).output();
+        let output = here.command(format!("{simulate} {out}")).output();
         output.expect("it starts")
     };
     let output = run("-");
@@ -194,14 +190,14 @@ fn results_go_through_what_is_no_file() {
 
 #[test]
 fn results_of_an_earlier_run_do_not_stay() {
-    let here = directory("stale");
+    let here = Directory::new("stale");
     let simulate =
         "simulate --robot ur5 --trajectory validation --exact --duration-s 12 --out log.csv";
     let identify = |methods: &str| {
         let line = format!("identify --robot ur5 --log log.csv --methods {methods} --out out");
-        succeeds(&here, &line)
+        here.succeeds(&line)
     };
-    succeeds(&here, simulate);
+    here.succeeds(simulate);
     identify("consistent");
     assert!(here.join("out/robot.toml").exists());
     identify("wls");
@@ -211,42 +207,38 @@ fn results_of_an_earlier_run_do_not_stay() {
     let bank = || fs::read(here.join("out/parameters.bank")).ok();
     let before = bank().expect("a bank");
     let wrong = "identify --robot ur5 --log log.csv --units tau=-Nm --out out";
-    refused(&here, wrong, "--force");
+    here.refused(wrong, "--force");
     assert_eq!(
         bank().as_ref(),
         Some(&before),
         "a refused run removes nothing"
     );
     let other = "simulate --robot ur5 --trajectory validation --seed 2 --out other.csv";
-    succeeds(&here, other);
+    here.succeeds(other);
     // Worse than the description, of which the unseen log is.
     let fit = "identify --robot ur5 --log other.csv --validate log.csv --methods consistent --out";
-    let output = host_sim(&here, &format!("{fit} out"));
+    let output = here.run(format!("{fit} out"));
     assert_contains(&failure(fit, &output), "(no bank; --force writes one)");
     let shown = String::from_utf8_lossy(&output.stdout);
     assert_contains(&shown, "note  bank and description of an earlier run stay");
     assert_eq!(bank(), Some(before), "a refused fit leaves the bank");
-    refused(&here, &format!("{fit} fresh"), "(no bank;");
+    here.refused(format!("{fit} fresh"), "(no bank;");
     for out in ["out", "fresh"] {
         let directory = here.join(out);
         assert!(directory.join("report.json").exists(), "{out}");
         assert!(!directory.join("robot.toml").exists(), "{out}");
     }
     fs::create_dir(here.join("other")).expect("creates");
-    write(here.join("other/robot.urdf"), "no result");
+    here.write("other/robot.urdf", "no result");
     let line = "identify --robot ur5 --log log.csv --methods wls --out other";
-    refused(
-        &here,
-        line,
-        "other/robot.urdf is there without the report.json",
-    );
-    assert_eq!(text(here.join("other/robot.urdf")), "no result");
+    here.refused(line, "other/robot.urdf is there without the report.json");
+    assert_eq!(here.text("other/robot.urdf"), "no result");
     let torque = "torque --robot ur5 --name bigger --trajectory validation --out t.csv";
-    let printed = succeeds(&here, &format!("{torque} --bank out/parameters.bank"));
+    let printed = here.succeeds(format!("{torque} --bank out/parameters.bank"));
     assert_contains(&printed, "bank of arm 'ur5', the robot is 'bigger'");
-    let compared = succeeds(&here, "compare out out --out c.html");
+    let compared = here.succeeds("compare out out --out c.html");
     assert_eq!(compared, "no figure differs\n");
-    assert_contains(&succeeds(&here, "completions bash"), "complete");
+    here.shows("completions bash", "complete");
 }
 
 /// Fields of a process behind its name, which may contain anything (proc(5)): state, parent, …; `None` without such a process.
@@ -279,8 +271,8 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
         "run --robot ur5 --board qemu --learn --trajectory validation --out out",
         "experiment demo --out out",
     ] {
-        let here = directory("dying");
-        let mut command = command(&here, arguments);
+        let here = Directory::new("dying");
+        let mut command = here.command(arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().expect("it starts");
         let emulator = soon("no emulator is seen at work", || {
@@ -290,8 +282,7 @@ fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
             busy
         });
         kill(Pid::from_raw(emulator), Signal::SIGKILL).expect("it is ours");
-        let output = child.wait_with_output().expect("it ends");
-        let stderr = line(arguments, &output);
+        let stderr = line(arguments, &child.wait_with_output().expect("it ends"));
         assert_contains(&stderr, "qemu");
         assert_contains(&stderr, "died");
         assert!(files(&here).is_empty(), "{:?}", files(&here));
@@ -310,10 +301,10 @@ impl Drop for KillOnDrop {
 }
 
 /// Starts a run of an hour on an emulated board.
-fn start(here: &Path, board: &str, out: &str) -> Child {
+fn start(here: &Directory, board: &str, out: &str) -> Child {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/paths/ur5-excitation.json");
     let run = format!("run --robot ur5 --trajectory {path} --duration-s 3600");
-    let mut command = command(here, &format!("{run} --board {board} --out {out}"));
+    let mut command = here.command(format!("{run} --board {board} --out {out}"));
     command.stderr(Stdio::null()).stdout(Stdio::null());
     // A test that was started in the background would pass on that it ignores Ctrl-C.
     let set_death_signal = || {
@@ -328,7 +319,7 @@ fn start(here: &Path, board: &str, out: &str) -> Child {
 
 #[test]
 fn an_emulator_ends_with_the_program_however_that_ends() {
-    let here = directory("orphans");
+    let here = Directory::new("orphans");
     for (board, end) in [
         ("qemu-usart", Signal::SIGKILL),
         ("qemu-usart", Signal::SIGINT),

@@ -1,14 +1,11 @@
 //! The commands `drive` and `commission`: on simulated drives, on a bus of python-can, and on buses that are not there.
 
-use crate::{
-    assert_contains, at_port, command, directory, fails, failure, files, host_sim, json, number,
-    refused, still, succeeds, text, write,
-};
+use crate::{Directory, assert_contains, at_port, failure, number, still};
 use foretorque_link::bank::ParameterBank;
 use serialport::TTYPort;
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -17,31 +14,30 @@ const PROFILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/profiles/sim-ur5.tom
 const SILENT: &str = "is silent, torque off: no drive of the profile answers";
 
 /// The profile with `from` replaced by `to`.
-fn changed(here: &Path, from: &str, to: &str) -> PathBuf {
-    let profile = text(PROFILE);
+fn changed(here: &Directory, from: &str, to: &str) -> PathBuf {
+    let profile = here.text(PROFILE);
     assert!(profile.contains(from), "{from}");
     let file = here.join("changed.toml");
-    write(&file, profile.replacen(from, to, 1));
+    here.write(&file, profile.replacen(from, to, 1));
     file
 }
 
 #[test]
 fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
-    let here = directory("drive");
+    let here = Directory::new("drive");
     let command = format!(
         "drive --profile {PROFILE} --bus sim --trajectory validation --duration-s 6 --learn --out out"
     );
-    let shown = succeeds(&here, &command);
+    let shown = here.succeeds(&command);
     assert_contains(&shown, "PD of the drives alone: ");
     assert_contains(&shown, "replies lost");
-    let written = files(&here.join("out"));
+    let written = here.files("out");
     assert_eq!(written, ["bank.bin", "drive.json", "log.csv", "log.mcap"]);
-    let summary = json(here.join("out/drive.json"));
+    let summary = here.json("out/drive.json");
     assert_eq!(summary["ticks"], 6000);
     assert!(number(&summary["tracking_ratio"]) > 1.0, "{summary}");
-    let rows = text(here.join("out/log.csv"));
-    assert!(rows.lines().count() > 5990);
-    let again = succeeds(&here, &command);
+    assert!(here.text("out/log.csv").lines().count() > 5990);
+    let again = here.succeeds(&command);
     let figures = |text: &str| text.lines().take(2).collect::<Vec<_>>().join(" ");
     assert_eq!(figures(&shown), figures(&again), "one seed, one result");
 }
@@ -49,17 +45,17 @@ fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
 #[test]
 fn a_bank_that_is_driven_keeps_all_that_is_not_learnt() {
     use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
-    let here = directory("drive-bank");
+    let here = Directory::new("drive-bank");
     let mut given = ParameterBank::nominal::<Ur5, JOINTS, PARAMETERS>();
     given.drive_gains_nm_a[2] = 12.5;
     given.columns[3].deviation *= 0.25;
     given.limits[1].torque_nm *= 0.5;
     let mut buffer = vec![0; ParameterBank::MAX_BYTES];
-    write(here.join("given.bank"), given.encode(&mut buffer).unwrap());
+    here.write("given.bank", given.encode(&mut buffer).unwrap());
     let command = format!(
         "drive --profile {PROFILE} --bus sim --trajectory validation --duration-s 2 --bank given.bank --learn --out out"
     );
-    succeeds(&here, &command);
+    here.succeeds(&command);
     let mut learnt = ParameterBank::decode(&fs::read(here.join("out/bank.bin")).unwrap()).unwrap();
     assert_ne!(learnt, given, "it has learnt");
     for (own, before) in learnt.columns.iter_mut().zip(&given.columns) {
@@ -68,20 +64,18 @@ fn a_bank_that_is_driven_keeps_all_that_is_not_learnt() {
     learnt.weights.clone_from(&given.weights);
     assert_eq!(learnt, given);
     let alone = command.replace("--bank given.bank --learn", "--alone");
-    succeeds(&here, &alone);
-    let written = files(&here.join("out"));
-    assert_eq!(written, ["drive.json", "log.csv", "log.mcap"]);
-    let with_bank = format!("{alone} --bank given.bank");
-    refused(&here, &with_bank, "'--bank <FILE>'");
+    here.succeeds(&alone);
+    assert_eq!(here.files("out"), ["drive.json", "log.csv", "log.mcap"]);
+    here.refused(format!("{alone} --bank given.bank"), "'--bank <FILE>'");
 }
 
 #[test]
 fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
-    let here = directory("commission");
+    let here = Directory::new("commission");
     let command = format!(
         "commission --profile {PROFILE} --bus sim --weight-kg 2 --weight-com 0.05,0,0.05 --out out"
     );
-    let text = succeeds(&here, &command);
+    let text = here.succeeds(&command);
     for step in [
         "Find", "Turn", "Zero", "Torque", "Friction", "Weight", "Excite", "Drive", "Identify",
     ] {
@@ -89,28 +83,28 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
     }
     let out = here.join("out");
     let written = ["commission.json", "driven", "excitation", "identified"];
-    assert_eq!(files(&out), written);
+    assert_eq!(here.files(&out), written);
     let (_, next) = text.split_once("next: host-sim drive --bank ").unwrap();
     let bank = next.split_whitespace().next().unwrap();
     assert!(here.join(bank).is_file(), "{bank}");
     // A repeated step keeps the findings of the others.
-    let found = json(out.join("commission.json"));
-    succeeds(&here, &format!("{command} --step turn"));
-    let again = json(out.join("commission.json"));
+    let found = here.json("out/commission.json");
+    here.succeeds(format!("{command} --step turn"));
+    let again = here.json("out/commission.json");
     assert_eq!(found[1]["gain"], again[1]["gain"]);
     assert!(!found[1]["gain"].is_null(), "{found}");
     let heavy = command.replace("--weight-kg 2", "--weight-kg 200");
-    refused(&here, &format!("{heavy} --step weight"), "more than the ");
-    write(out.join("commission.json"), "[]");
+    here.refused(format!("{heavy} --step weight"), "more than the ");
+    here.write("out/commission.json", "[]");
     let turn = format!("{command} --step turn");
-    refused(&here, &turn, "findings of 0 joints, the arm has 6");
+    here.refused(&turn, "findings of 0 joints, the arm has 6");
 }
 
 #[test]
 fn the_wiring_of_a_board_is_written_from_the_profile() {
     use foretorque_link::bus::{Role, Wires, Wiring};
-    let here = directory("wiring");
-    let profile = text(PROFILE);
+    let here = Directory::new("wiring");
+    let profile = here.text(PROFILE);
     let with_drives = |protocol: &str| {
         let drive = |line: &str| match line.split_once("id = ") {
             Some((_, rest)) => format!("drive = {{ protocol = {{ {protocol} }}, id = {rest}"),
@@ -122,12 +116,12 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
             .collect::<String>()
     };
     let moteus = "moteus = { kp = 5e4, kd = 5e3, watchdog_s = 0.02, resolution = \"int32\" }";
-    write(here.join("moteus.toml"), with_drives(moteus));
+    here.write("moteus.toml", with_drives(moteus));
     let cia402 = "cia402 = { mode = \"position\", counts_per_turn = 1e6, rated_torque = 40.0 }";
     let slow = with_drives(cia402).replace("rate_hz = 1000.0", "rate_hz = 500.0");
-    write(here.join("cia402.toml"), slow);
+    here.write("cia402.toml", slow);
     let apart = profile.replace("rate_hz = 1000.0", "rate_hz = 500.0");
-    write(here.join("apart.toml"), apart.replace("1e6 }]", "5e5 }]"));
+    here.write("apart.toml", apart.replace("1e6 }]", "5e5 }]"));
     let cases = [
         ("master", Role::Master, Wires::Can, ""),
         ("in-line", Role::InLine, Wires::Can, " --joint 2"),
@@ -140,7 +134,7 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
             PROFILE
         };
         let command = format!("wiring --profile {profile} --role {role}{more} --out board.bin");
-        assert_contains(&succeeds(&here, &command), "0x08080000 board.bin");
+        here.shows(&command, "0x08080000 board.bin");
         let mut bytes = fs::read(here.join("board.bin")).expect("it was written");
         bytes.resize(Wiring::<6>::BYTES, 0xff);
         let wiring = Wiring::<6>::decode(&bytes).expect("the board reads it");
@@ -149,14 +143,13 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         let all = more.is_empty();
         assert_eq!(joints, [all, true, all, all, all, all]);
         // Three drives on each bus, commands and replies of 135 bits at most.
-        let shortest_us = if all { 3 * 2 * 135 } else { 0 };
-        assert_eq!(wiring.shortest_period_us, shortest_us);
+        assert_eq!(wiring.shortest_period_us, if all { 3 * 2 * 135 } else { 0 });
         bytes[5] ^= 1;
         assert_eq!(Wiring::<6>::decode(&bytes), None);
     }
     // A board in line of one drive has the bit rate of its bus.
     let one = "wiring --profile apart.toml --role in-line --joint 5 --out one.bin";
-    succeeds(&here, one);
+    here.succeeds(one);
     let mut bytes = fs::read(here.join("one.bin")).expect("it was written");
     bytes.resize(Wiring::<6>::BYTES, 0xff);
     let wiring = Wiring::<6>::decode(&bytes).expect("it is sound");
@@ -183,13 +176,13 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         ),
     ] {
         let wiring = format!("wiring --profile {profile} --role {role} --out x");
-        refused(&here, &wiring, problem);
+        here.refused(&wiring, problem);
     }
 }
 
 #[test]
 fn contradictions_and_missing_buses_are_one_line() {
-    let here = directory("bus-mistakes");
+    let here = Directory::new("bus-mistakes");
     // Line of the profile, its replacement, and the words of the refusal.
     let cases = "\
 rate_hz = 1000.0 | rate_hz = 5000.0 | rate_hz 5000
@@ -205,7 +198,7 @@ robot = \"ur5\" | robot = \"panda\" | 6 joints contradict the 7 joints of robot 
         let parts: Vec<&str> = case.split(" | ").collect();
         let file = changed(&here, parts[0], parts[1]);
         let drive = format!("drive --profile {} --bus sim", file.display());
-        let line = fails(&here, &format!("{drive} --trajectory validation --out out"));
+        let line = here.fails(format!("{drive} --trajectory validation --out out"));
         assert_contains(&line, parts[2]);
         assert_contains(&line, "changed.toml");
     }
@@ -226,28 +219,24 @@ robot = \"ur5\" | robot = \"panda\" | 6 joints contradict the 7 joints of robot 
     ] {
         for command in ["drive --trajectory validation", "commission"] {
             let arguments = format!("{command} --profile {PROFILE} --bus {bus} --out out");
-            refused(&here, &arguments, named);
+            here.refused(&arguments, named);
         }
     }
     let bus = "--bus socketcan:nowhere7,nowhere8";
     let real = format!("drive --profile {PROFILE} {bus} --trajectory validation --out out");
     for option in ["--exact", "--payload 1@2..3", "--load-friction 0.1"] {
-        refused(
-            &here,
-            &format!("{real} {option}"),
-            "the arm on this bus is real",
-        );
+        here.refused(format!("{real} {option}"), "the arm on this bus is real");
     }
     assert!(!here.join("out").exists());
 }
 
 #[test]
 fn a_bus_without_drives_is_silent_in_one_line() {
-    let here = directory("bus-silent");
+    let here = Directory::new("bus-silent");
     let command = format!(
         "drive --profile {PROFILE} --bus udp:239.74.163.61:43161,239.74.163.62:43162 --trajectory validation --out out"
     );
-    let output = host_sim(&here, &command);
+    let output = here.run(&command);
     let stderr = String::from_utf8_lossy(&output.stderr);
     if stderr.contains("error: bus udp:") && !stderr.contains("is silent") {
         println!("skipped: no multicast on this machine: {stderr}");
@@ -258,7 +247,7 @@ fn a_bus_without_drives_is_silent_in_one_line() {
 
 #[test]
 fn an_adapter_without_drives_ends_in_one_line() {
-    let here = directory("adapter-silent");
+    let here = Directory::new("adapter-silent");
     let [drive, commission] = ["drive --trajectory validation", "commission"];
     let none = "joint 1: no drive answers at id 1 on bus 0; ids that answer: none";
     let stuck = "has gone, torque off: Operation timed out";
@@ -279,11 +268,11 @@ fn an_adapter_without_drives_ends_in_one_line() {
         at_port(adapter, |one| {
             at_port(adapter, |other| {
                 let bus = format!("--profile {PROFILE} --bus {kind}:{one},{other}");
-                refused(&here, &format!("{command} {bus} --out out"), expected);
+                here.refused(format!("{command} {bus} --out out"), expected);
             });
         });
     }
-    assert_eq!(files(&here.join("out")), ["commission.json"]);
+    assert_eq!(here.files("out"), ["commission.json"]);
 }
 
 /// A Damiao drive in Python: takes commands, stands where it is set, and prints the torques that it was sent.
@@ -294,9 +283,9 @@ fn drives_in_python_can_are_armed_and_follow() {
     let Some(python) = crate::python::with("can, msgpack") else {
         return;
     };
-    let here = directory("bus-python");
+    let here = Directory::new("bus-python");
     let slow = changed(&here, "rate_hz = 1000.0", "rate_hz = 100.0");
-    write(here.join("still.csv"), still(6, &["0", "6"]));
+    here.write("still.csv", still(6, &["0", "6"]));
     let mut drives = Command::new(&python)
         .args(["-c", PYTHON_DRIVES])
         .stdout(Stdio::piped())
@@ -314,8 +303,7 @@ fn drives_in_python_can_are_armed_and_follow() {
         "drive --profile {} --bus udp:239.74.163.71:43161,239.74.163.72:43162 --trajectory still.csv --out out",
         slow.display()
     );
-    let text = succeeds(&here, &command);
-    assert_contains(&text, "600 ticks at 100 Hz");
+    assert_contains(&here.succeeds(&command), "600 ticks at 100 Hz");
     let _ = drives.wait();
     line.clear();
     output.read_line(&mut line).expect("it writes");
@@ -326,11 +314,11 @@ fn drives_in_python_can_are_armed_and_follow() {
 
 #[test]
 fn an_interrupt_switches_the_torque_off_and_is_a_failure() {
-    let here = directory("drive-interrupted");
+    let here = Directory::new("drive-interrupted");
     let arguments = format!(
         "drive --profile {PROFILE} --bus sim --trajectory validation --alone --duration-s 600 --out out"
     );
-    let child = command(&here, &arguments).stderr(Stdio::piped()).spawn();
+    let child = here.command(&arguments).stderr(Stdio::piped()).spawn();
     let child = child.expect("it starts");
     let rows = || -> u64 {
         let entries = fs::read_dir(here.join("out")).into_iter().flatten();
@@ -342,8 +330,7 @@ fn an_interrupt_switches_the_torque_off_and_is_a_failure() {
     }
     let id = nix::unistd::Pid::from_raw(child.id().cast_signed());
     nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGTERM).expect("it is ours");
-    let output = child.wait_with_output().expect("it ends");
-    let line = failure(&arguments, &output);
+    let line = failure(&arguments, &child.wait_with_output().expect("it ends"));
     assert_contains(&line, "interrupted after ");
     assert_contains(&line, ", torque off");
 }

@@ -1,6 +1,6 @@
 //! The optimised excitation keeps its limits on a grid that the search never saw, its certificate is true, and a board plays it.
 
-use crate::{assert_contains, directory, refused, succeeds, text, write};
+use crate::{Directory, assert_contains};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
@@ -125,7 +125,7 @@ fn each_criterion_is_lower_where_it_was_asked_for() {
 
 #[test]
 fn rotors_that_simulate_assumes_are_those_of_excite() {
-    let here = directory("excite-rotors");
+    let here = Directory::new("excite-rotors");
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/small5.toml");
     let mut robot = Robot::load(file).expect("described");
     let mut assumed = Vec::new();
@@ -133,23 +133,18 @@ fn rotors_that_simulate_assumes_are_those_of_excite() {
         joint.drive.rotor_inertia = 0.0;
         assumed.push((joint.limits.torque / 200.0).to_string());
     }
-    write(here.join("bare.toml"), robot.to_toml().expect("text"));
+    here.write("bare.toml", robot.to_toml().expect("text"));
     let search = "excite --robot bare.toml --starts 1 --iterations 8 --out";
-    let silent = succeeds(&here, &format!("{search} assumed"));
+    let silent = here.succeeds(format!("{search} assumed"));
     assert_contains(&silent, "rotor inertias are not described");
     let unchecked = "from table and own links are not checked: its description has no capsules";
     assert_contains(&silent, unchecked);
     let table = "excite --robot bare.toml --out none --table-m 5";
-    refused(
-        &here,
-        table,
-        "--table-m 5: no table is checked for 'small5'",
-    );
+    here.refused(table, "--table-m 5: no table is checked for 'small5'");
     assert!(!here.join("none").exists());
     let stated = format!("{search} stated --rotor-inertia {}", assumed.join(","));
-    succeeds(&here, &stated);
-    let [one, other] =
-        ["assumed", "stated"].map(|out| text(here.join(out).join("excitation.json")));
+    here.succeeds(&stated);
+    let [one, other] = ["assumed", "stated"].map(|out| here.text(format!("{out}/excitation.json")));
     assert_eq!(one, other);
 }
 

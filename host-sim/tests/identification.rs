@@ -1,13 +1,12 @@
 //! The command `identify` as a user runs it: parameters of a known arm, and one line for each defect of a log.
 
 use crate::logs::{Q, TAU, each, planted};
-use crate::{
-    assert_contains, directory, fails, json, number, refused, states_of, succeeds, text, write,
-};
+use crate::{Directory, assert_contains, number, states_of};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::write_motion;
 use serde_json::Value;
+use std::fmt::Display;
 use std::path::Path;
 
 const N: usize = 6;
@@ -59,24 +58,21 @@ pub(crate) fn log_of(
 }
 
 /// Standard output and report of a successful `identify` into `out`.
-fn identified(directory: &Path, arguments: &str) -> (String, Value) {
-    let arguments = format!("identify --robot ur5 --out out {arguments}");
-    let stdout = succeeds(directory, &arguments);
-    (stdout, json(directory.join("out/report.json")))
-}
-
-/// One column of a table, header left out.
-fn column(path: &Path, index: usize) -> Vec<f64> {
-    let text = text(path);
-    let fields = text.lines().skip(1).map(|row| row.split(',').nth(index));
-    fields
-        .map(|field| field.expect("has it").parse().expect("a number"))
-        .collect()
+fn identified(here: &Directory, arguments: impl Display) -> (String, Value) {
+    let stdout = here.succeeds(format!("identify --robot ur5 --out out {arguments}"));
+    (stdout, here.json("out/report.json"))
 }
 
 /// RMS difference of two columns over the RMS of the first; each is a table and a place in it.
-fn difference(here: &Path, wanted: (&str, usize), found: (&str, usize)) -> f64 {
-    let [wanted, found] = [wanted, found].map(|(table, index)| column(&here.join(table), index));
+fn difference(here: &Directory, wanted: (&str, usize), found: (&str, usize)) -> f64 {
+    let [wanted, found] = [wanted, found].map(|(table, index)| -> Vec<f64> {
+        let (text, number) = (here.text(table), |field: &str| {
+            field.parse().expect("a number")
+        });
+        let rows = text.lines().skip(1);
+        rows.map(|row| number(row.split(',').nth(index).expect("has it")))
+            .collect()
+    });
     let pairs = wanted.iter().zip(&found);
     let error: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
     let power: f64 = wanted.iter().map(|a| a * a).sum();
@@ -85,13 +81,13 @@ fn difference(here: &Path, wanted: (&str, usize), found: (&str, usize)) -> f64 {
 
 #[test]
 fn parameters_come_back_from_a_log_and_the_bank_loads() {
-    let here = directory("identify-round");
+    let here = Directory::new("identify-round");
     log(&here.join("train.csv.gz"), 6000, 0.0, None, 0.3);
     log(&here.join("unseen.csv"), 2000, 1.1, None, 0.0);
     let logs = "--log train.csv.gz --validate unseen.csv --truth ur5 --columns coulomb-viscous";
     let (_, report) = identified(&here, logs);
     assert_eq!(report["rank"], 52);
-    let page = text(here.join("out/report.html"));
+    let page = here.text("out/report.html");
     let recommended = report["recommended"].as_str().expect("a name");
     assert_contains(&page, format!("Parameters: {recommended}"));
     for method in "ols wls irls consistent bp_physical bp_residual".split(' ') {
@@ -106,14 +102,14 @@ fn parameters_come_back_from_a_log_and_the_bank_loads() {
     let epochs = report["methods"]["bp_physical"]["epochs_to_1_05_wls"][0].as_u64();
     assert!(epochs.expect("reached") > 1);
     let torque = "torque --robot ur5 --in unseen.csv --out tau.csv --bank out/parameters.bank";
-    succeeds(&here, torque);
+    here.succeeds(torque);
     // The board's own torque of the bank, first joint, against the log.
     assert!(difference(&here, ("unseen.csv", 19), ("tau.csv", 1)) < 0.02);
 }
 
 #[test]
 fn the_page_tells_logs_of_one_name_apart() {
-    let here = directory("identify-names");
+    let here = Directory::new("identify-names");
     std::fs::create_dir(here.join("other")).expect("creates");
     log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
     log(&here.join("unseen.csv"), 1000, 1.1, None, 0.0);
@@ -124,15 +120,15 @@ fn the_page_tells_logs_of_one_name_apart() {
     let ratio = number(&record["joints_nrmse_moving_ratio"]);
     let shown = format!("{:.2} %", 100.0 * ratio);
     assert_contains(&stdout, &shown);
-    assert_contains(&text(here.join("out/report.html")), &shown);
+    assert_contains(&here.text("out/report.html"), &shown);
 }
 
 #[test]
 fn a_body_picked_up_in_a_validation_log_is_named() {
-    let here = directory("identify-picked");
+    let here = Directory::new("identify-picked");
     log(&here.join("a.csv"), 3000, 0.0, None, 0.05);
     let simulate = "simulate --robot ur5 --exact --trajectory validation --duration-s 12";
-    succeeds(&here, &format!("{simulate} --payload 4@6..12 --out b.csv"));
+    here.succeeds(format!("{simulate} --payload 4@6..12 --out b.csv"));
     let logs = "--log a.csv --validate b.csv --columns coulomb-viscous --methods wls";
     let (stdout, _) = identified(&here, logs);
     assert_contains(&stdout, "warning  b.csv: torque error of joint");
@@ -140,14 +136,14 @@ fn a_body_picked_up_in_a_validation_log_is_named() {
 
 #[test]
 fn a_load_in_one_of_two_training_logs_is_named_with_its_log() {
-    let here = directory("identify-loaded");
+    let here = Directory::new("identify-loaded");
     log(&here.join("a.csv"), 2000, 0.0, None, 0.05);
     log(&here.join("b.csv"), 2000, 1.1, None, 0.05);
     let loaded = planted(
-        &text(here.join("b.csv")),
+        &here.text("b.csv"),
         each(|row| row[TAU + 2] += 12.0).as_ref(),
     );
-    write(here.join("b.csv"), loaded);
+    here.write("b.csv", loaded);
     let logs = "--log a.csv --log b.csv --columns coulomb-viscous --methods wls --force";
     let (stdout, _) = identified(&here, logs);
     assert_contains(
@@ -158,22 +154,22 @@ fn a_load_in_one_of_two_training_logs_is_named_with_its_log() {
 
 #[test]
 fn a_validation_log_at_rest_is_refused_and_chooses_nothing() {
-    let here = directory("identify-rest");
+    let here = Directory::new("identify-rest");
     log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
-    let rest = planted(&text(here.join("train.csv")), &|rows| {
+    let rest = planted(&here.text("train.csv"), &|rows| {
         let mut first = rows[0].clone();
         first[Q + N..TAU].fill(0.0);
         for row in rows {
             row[Q..].copy_from_slice(&first[Q..]);
         }
     });
-    write(here.join("rest.csv"), rest);
+    here.write("rest.csv", rest);
     let identify = "--log train.csv --validate rest.csv --methods ols,consistent --out out";
     let identify = format!("identify --robot ur5 {identify}");
     let reason = "rest.csv: no joint moves faster than 0.05 rad/s: record a motion";
-    refused(&here, &identify, reason);
-    succeeds(&here, &format!("{identify} --force"));
-    let report = json(here.join("out/report.json"));
+    here.refused(&identify, reason);
+    here.succeeds(format!("{identify} --force"));
+    let report = here.json("out/report.json");
     assert_eq!(report["recommended"], "consistent");
     let record = &report["methods"]["ols"]["validation"]["rest.csv"];
     assert!(record["joints_nrmse_moving_ratio"].is_null(), "{record}");
@@ -181,10 +177,10 @@ fn a_validation_log_at_rest_is_refused_and_chooses_nothing() {
 
 #[test]
 fn warnings_on_unseen_logs_name_the_log() {
-    let here = directory("identify-warned");
+    let here = Directory::new("identify-warned");
     log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
     log(&here.join("unseen.csv"), 2000, 1.1, None, 0.1);
-    let clipped = planted(&text(here.join("unseen.csv")), &|rows| {
+    let clipped = planted(&here.text("unseen.csv"), &|rows| {
         let mut torques: Vec<f64> = rows.iter().map(|row| row[TAU + 1]).collect();
         torques.sort_by(f64::total_cmp);
         let most = torques[rows.len() * 49 / 50];
@@ -192,10 +188,10 @@ fn warnings_on_unseen_logs_name_the_log() {
         torques.for_each(|torque| *torque = torque.min(most));
     });
     for name in ["clipped.csv", "copy.csv"] {
-        write(here.join(name), &clipped);
+        here.write(name, &clipped);
     }
     let logs = "--log train.csv --validate clipped.csv --test copy.csv --methods wls";
-    let (stdout, report) = identified(&here, &format!("{logs} --motion-hz 10"));
+    let (stdout, report) = identified(&here, format!("{logs} --motion-hz 10"));
     assert_contains(
         &stdout,
         "warning  clipped.csv: torque of joint 2 is cut off at",
@@ -204,7 +200,7 @@ fn warnings_on_unseen_logs_name_the_log() {
     assert_contains(&stdout, copy);
     // The torque is filtered well below the motion, unless the user wants it otherwise.
     assert_eq!(number(&report["torque_cutoff_hz"]), 5.0);
-    let (stdout, report) = identified(&here, &format!("{logs} --motion-hz 10 --torque-hz 15"));
+    let (stdout, report) = identified(&here, format!("{logs} --motion-hz 10 --torque-hz 15"));
     assert_eq!(number(&report["torque_cutoff_hz"]), 15.0);
     assert_contains(&stdout, "note  torque and regressor are filtered at 15 Hz");
     // A report that cannot be written leaves the bank of the run before.
@@ -212,14 +208,14 @@ fn warnings_on_unseen_logs_name_the_log() {
     std::fs::remove_file(here.join("out/report.html")).expect("written");
     std::fs::create_dir(here.join("out/report.html")).expect("creates");
     let identify = format!("identify --robot ur5 --out out {logs}");
-    refused(&here, &identify, "report.html");
+    here.refused(&identify, "report.html");
     let left = std::fs::read(here.join("out/parameters.bank"));
     assert_eq!(left.expect("left"), bank);
 }
 
 #[test]
 fn the_consistent_parameters_are_a_description_that_can_be_used() {
-    let here = directory("identify-consistent");
+    let here = Directory::new("identify-consistent");
     // Noise enough to drive least squares out of the physical parameters.
     log(&here.join("train.csv"), 2000, 0.0, None, 3.0);
     let (stdout, report) = identified(&here, "--log train.csv --methods irls,consistent");
@@ -241,11 +237,11 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
     }
     let in_urdf = load("out/robot.urdf");
     assert!((in_urdf.joints[1].link.mass - identified.joints[1].link.mass).abs() < 1e-12);
-    succeeds(&here, "generate --robot out/robot.toml --out ur5.rs");
+    here.succeeds("generate --robot out/robot.toml --out ur5.rs");
     // Without rotors in the description, those of the first axes are like the others, and no part of a link.
     log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
     let bare = "identify --robot ur5 --rotor-inertia 0 --methods irls,consistent";
-    succeeds(&here, &format!("{bare} --log train.csv --out out"));
+    here.succeeds(format!("{bare} --log train.csv --out out"));
     let arm = Robot::load("ur5").expect("built in");
     for (joint, described) in load("out/robot.toml").joints.iter().zip(&arm.joints) {
         let [mass, rotor] = [
@@ -259,16 +255,16 @@ fn the_consistent_parameters_are_a_description_that_can_be_used() {
 
 #[test]
 fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
-    let here = directory("identify-wrong");
+    let here = Directory::new("identify-wrong");
     log(&here.join("good.csv"), 2000, 0.0, None, 0.1);
     let series = include_str!("../paths/ur5-excitation.json");
     let other = series.replacen("\"ur5\"", "\"other\"", 1);
-    write(here.join("other.json"), other);
+    here.write("other.json", other);
     let long = series.replacen("\"period_s\": 10.0", "\"period_s\": 1e9", 1);
     assert_ne!(long, series);
-    write(here.join("long.json"), long);
-    write(here.join("geared.toml"), "gear_ratios = [nan]");
-    write(here.join("copy.csv"), text(here.join("good.csv")));
+    here.write("long.json", long);
+    here.write("geared.toml", "gear_ratios = [nan]");
+    here.write("copy.csv", here.text("good.csv"));
     for (wrong, expected) in [
         ("--gains standstill", "no motor currents"),
         ("--log ./good.csv", "--log ./good.csv is given twice"),
@@ -295,32 +291,22 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
         ),
     ] {
         let identify = format!("identify --robot ur5 --log good.csv --out out {wrong}");
-        refused(&here, &identify, expected);
+        here.refused(&identify, expected);
     }
 }
 
 #[test]
 fn joints_that_are_predicted_worse_than_by_the_description_are_named() {
-    let here = directory("identify-half");
-    write(
-        here.join("series.json"),
-        include_str!("../paths/ur5-excitation.json"),
-    );
+    let here = Directory::new("identify-half");
+    here.write("series.json", include_str!("../paths/ur5-excitation.json"));
     for (name, path) in [("a.csv", "series.json"), ("b.csv", "validation")] {
         let motion = format!("--trajectory {path} --duration-s 10");
-        succeeds(
-            &here,
-            &format!("simulate --robot ur5 {motion} --out {name}"),
-        );
+        here.succeeds(format!("simulate --robot ur5 {motion} --out {name}"));
         // Less than the motion of joint 3, and too little less to be told by the judgement.
         let less = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.8));
-        let log = planted(&text(here.join(name)), &less);
-        write(here.join(name), log);
+        here.write(name, planted(&here.text(name), &less));
     }
-    let text = succeeds(
-        &here,
-        "identify --robot ur5 --log a.csv --validate b.csv --out out",
-    );
+    let text = here.succeeds("identify --robot ur5 --log a.csv --validate b.csv --out out");
     assert_contains(
         &text,
         "the identified parameters predict worse than the description",
@@ -330,7 +316,7 @@ fn joints_that_are_predicted_worse_than_by_the_description_are_named() {
 #[test]
 fn the_bank_has_the_drive_gains_of_standstill() {
     const SHARE: f64 = 1.25;
-    let here = directory("identify-standstill");
+    let here = Directory::new("identify-standstill");
     let robot = Robot::load("ur5").expect("built in");
     let model = ReferenceModel::<N>::new(&robot).expect("six joints");
     // Eight poses that are held, and a motion.
@@ -347,18 +333,18 @@ fn the_bank_has_the_drive_gains_of_standstill() {
         (t_s, state, [current])
     });
     write_motion(&here.join("torques.csv"), ["tau"], rows).expect("writes");
-    let torques = text(here.join("torques.csv"));
+    let torques = here.text("torques.csv");
     // Without velocities, by which a pose and the next one would be one stand.
     let currents = torques.lines().map(|line| {
         let fields: Vec<&str> = line.split(',').collect();
         let kept = [&fields[..Q + N], &fields[TAU..]].concat().join(",");
         kept.replace("tau", "i").replace("_nm", "_a") + "\n"
     });
-    write(here.join("currents.csv"), currents.collect::<String>());
+    here.write("currents.csv", currents.collect::<String>());
     let identify =
         "identify --robot ur5 --log currents.csv --methods wls --gains standstill --out out";
-    assert_contains(&succeeds(&here, identify), "gain  joint 2  13.370 N·m/A");
-    let bank = succeeds(&here, "bank out/parameters.bank");
+    here.shows(identify, "gain  joint 2  13.370 N·m/A");
+    let bank = here.succeeds("bank out/parameters.bank");
     let of_joint = |joint: &str| {
         let mut lines = bank
             .lines()
@@ -375,18 +361,18 @@ fn the_bank_has_the_drive_gains_of_standstill() {
 
 #[test]
 fn a_joint_that_stands_still_is_named_and_the_others_are_learnt() {
-    let here = directory("identify-still");
+    let here = Directory::new("identify-still");
     log(&here.join("still.csv"), 2000, 0.0, Some(5), 0.1);
-    let message = fails(&here, "identify --robot ur5 --log still.csv --out out");
+    let message = here.fails("identify --robot ur5 --log still.csv --out out");
     assert_contains(&message, "rank deficient (");
     assert_contains(
         &message,
         "joints at rest: 6: add a --log in which every joint moves",
     );
     // The board learns the others: the reference is the description.
-    let stdout = succeeds(&here, "replay --robot ur5 --log still.csv --out replayed");
+    let stdout = here.succeeds("replay --robot ur5 --log still.csv --out replayed");
     assert_contains(&stdout, "1.000 × the description without friction");
-    let report = json(here.join("replayed/report.json"));
+    let report = here.json("replayed/report.json");
     assert!(number(&report["newest_vs_rich_wls_ratio"]) < 0.5);
     assert!(report["plain_wls_vs_rich_wls_ratio"].is_null());
     let notes = report["notes"].to_string();
@@ -395,13 +381,13 @@ fn a_joint_that_stands_still_is_named_and_the_others_are_learnt() {
 
 #[test]
 fn columns_absent_on_the_board_are_named_the_others_reach_it() {
-    let here = directory("identify-columns");
+    let here = Directory::new("identify-columns");
     log(&here.join("log.csv"), 4000, 0.0, None, 0.1);
     let columns = "--columns coulomb-viscous+offset+stribeck+load+cogging+cubic";
     let arguments = format!("--log log.csv --methods wls,irls {columns}");
     let (stdout, report) = identified(&here, &arguments);
     assert_contains(&stdout, "the board has no column cubic");
-    let bank = succeeds(&here, "bank out/parameters.bank");
+    let bank = here.succeeds("bank out/parameters.bank");
     // An identified column has a value other than zero.
     for name in ["Fv1", "Fc1", "Fs1", "Fb1", "Fl2", "Fo1", "Gs1", "Gc1"] {
         let mut rows = bank.lines().map(str::split_whitespace);
@@ -415,14 +401,14 @@ fn columns_absent_on_the_board_are_named_the_others_reach_it() {
 
 #[test]
 fn a_gap_splits_the_log_and_is_noted() {
-    let here = directory("identify-gap");
+    let here = Directory::new("identify-gap");
     log(&here.join("whole.csv"), 4000, 0.0, None, 0.1);
-    let cut = planted(&text(here.join("whole.csv")), &|rows| {
+    let cut = planted(&here.text("whole.csv"), &|rows| {
         rows.drain(1499..1549);
         // The first axis is vertical, so its turn during the gap changes no torque; it is no velocity of the joint.
         rows[1499..].iter_mut().for_each(|row| row[Q] -= 3.0);
     });
-    write(here.join("cut.csv"), cut);
+    here.write("cut.csv", cut);
     let (stdout, report) = identified(&here, "--log cut.csv --validate whole.csv --methods wls");
     assert_contains(&stdout, "cut.csv:1501: column t_s: gap of 0.255");
     let error = &report["methods"]["wls"]["validation"]["whole.csv"]["joints_nrmse_moving_ratio"];
@@ -432,7 +418,7 @@ fn a_gap_splits_the_log_and_is_noted() {
 
 #[test]
 fn an_arm_with_calibrated_angles_is_identified() {
-    let here = directory("identify-calibrated");
+    let here = Directory::new("identify-calibrated");
     let file = concat!(
         env!("CARGO_MANIFEST_DIR"),
         "/../tests/data/ur5_calibrated.toml"
@@ -441,15 +427,15 @@ fn an_arm_with_calibrated_angles_is_identified() {
     log_of(&robot, &here.join("log.csv"), 4000, 0.0, None, 0.1);
     log_of(&robot, &here.join("other.csv"), 2000, 0.4, None, 0.1);
     let logs = "--log log.csv --validate other.csv --methods wls --out out";
-    succeeds(&here, &format!("identify --robot {file} {logs}"));
-    let report = json(here.join("out/report.json"));
+    here.succeeds(format!("identify --robot {file} {logs}"));
+    let report = here.json("out/report.json");
     let error = &report["methods"]["wls"]["validation"]["other.csv"]["joints_nrmse_moving_ratio"];
     assert!(number(error) < 0.02, "{error}");
 }
 
 #[test]
 fn drives_that_turn_two_joints_are_identified() {
-    let here = directory("identify-coupled");
+    let here = Directory::new("identify-coupled");
     let drive = |name: &str| {
         format!(
             "[[joints]]\nname = '{name}'\nlimits = {{ position_rad = [-2.5, 2.5], velocity_rad_s = 2, torque_nm = 20 }}
@@ -460,17 +446,17 @@ fn drives_that_turn_two_joints_are_identified() {
     let text = format!(
         "from = 'ur5'\n{five}{six}[coupling]\njoints = ['wrist_2', 'wrist_3']\nmatrix = [[1, 1], [1, -1]]\n"
     );
-    write(here.join("arm.toml"), &text);
+    here.write("arm.toml", &text);
     for command in [
         "simulate --robot arm.toml --trajectory validation --seed 1 --exact --out 1.csv",
         "simulate --robot arm.toml --trajectory validation --seed 2 --exact --out 2.csv",
         "identify --robot arm.toml --log 1.csv --validate 2.csv --methods consistent --out out",
         "torque --robot out/robot.toml --in 2.csv --out tau.csv",
     ] {
-        succeeds(&here, command);
+        here.succeeds(command);
     }
     let without = "identify --robot arm.toml --log 1.csv --validate 2.csv --methods wls --out wls";
-    refused(&here, without, "--methods consistent gives a robot.toml");
+    here.refused(without, "--methods consistent gives a robot.toml");
     // Boards have no coupled joints.
     assert!(!here.join("out/parameters.bank").exists());
     // Torques of the last two drives: measured, and of the identified description.
@@ -479,13 +465,13 @@ fn drives_that_turn_two_joints_are_identified() {
         assert!(share < 0.2, "drive {drive}: {share}");
     }
     let run = "run --robot arm.toml --trajectory validation --out x";
-    refused(&here, run, "without its [coupling]");
+    here.refused(run, "without its [coupling]");
     for (values, reason) in [
         (&[1e200][..], "state 1: its torque is not a number"),
         (&[], "states.csv: no rows"),
     ] {
-        write(here.join("states.csv"), states_of(6, values));
+        here.write("states.csv", states_of(6, values));
         let torque = "torque --robot arm.toml --in states.csv --out x.csv";
-        refused(&here, torque, reason);
+        here.refused(torque, reason);
     }
 }

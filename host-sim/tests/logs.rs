@@ -3,7 +3,7 @@
 //! another reader.
 
 use crate::identification::{log, log_of};
-use crate::{assert_contains, directory, host_sim, json, number, refused, succeeds, text, write};
+use crate::{Directory, assert_contains, number};
 use foretorque_workbench::robot::{Link, Robot};
 use nalgebra::{Matrix3, Vector3};
 use std::fs;
@@ -24,17 +24,16 @@ fn a_bag_gives_the_parameters_of_the_table_that_another_reader_made_of_it() {
         // At 30 rows a second the cut-offs follow from the rows.
         ("panda".to_owned(), "panda", ""),
     ] {
-        let here = directory(&format!("bag-{bag}"));
+        let here = Directory::new(&format!("bag-{bag}"));
         let tables = ["db3", "csv.gz"].map(|kind| {
             let log = data(&format!("{bag}.{kind}"));
             let identify = format!("identify --robot {robot} --log {log} --methods wls {filters}");
-            let printed = succeeds(&here, &format!("{identify} --force --out out"));
+            let printed = here.succeeds(format!("{identify} --force --out out"));
             assert!(
                 !printed.contains("torque error of joint"),
                 "{bag}: {printed}"
             );
-            let report = json(here.join("out/report.json"));
-            report["methods"]["wls"]["parameters"].to_string()
+            here.json("out/report.json")["methods"]["wls"]["parameters"].to_string()
         });
         assert!(tables[0].len() > 1000);
         assert_eq!(tables[0], tables[1], "{bag}");
@@ -48,11 +47,10 @@ fn bags_are_replayed_to_the_board_which_learns_them_without_harm_or_alarm() {
         ("panda".to_owned(), "panda", 10e3..12.4e3),
         (data("ur10.toml"), "ur10", 13e3..13.8e3),
     ] {
-        let here = directory(&format!("bag-replay-{bag}"));
+        let here = Directory::new(&format!("bag-replay-{bag}"));
         let log = data(&format!("{bag}.db3"));
-        let replay = format!("replay --robot {robot} --log {log} --out out");
-        succeeds(&here, &replay);
-        let report = json(here.join("out/report.json"));
+        here.succeeds(format!("replay --robot {robot} --log {log} --out out"));
+        let report = here.json("out/report.json");
         assert_eq!(report["robot"], bag);
         assert_eq!(report["start"], "description");
         let seen = number(&report["ticks_count"]);
@@ -71,19 +69,19 @@ const OUTSIDE: &str = include_str!("compare_mcap.py");
 
 #[test]
 fn a_run_is_written_as_mcap_with_every_tick_and_the_numbers_of_the_csv() {
-    let here = directory("mcap");
+    let here = Directory::new("mcap");
     let run = "run --robot ur5 --trajectory validation --duration-s 3 --telemetry all/1 --out out";
-    succeeds(&here, run);
+    here.succeeds(run);
     let check = |log: &str| {
         let arguments = format!("identify --robot ur5 --log out/log.{log} --data-check");
-        let shown = String::from_utf8(host_sim(&here, &arguments).stdout).expect("text");
+        let shown = String::from_utf8(here.run(&arguments).stdout).expect("text");
         assert_contains(&shown, "joint 6");
         shown.replace(&format!("log.{log}"), "log")
     };
     assert_eq!(check("csv"), check("mcap"));
     let python = |arguments: &[&str]| {
         let mut python = Command::new("python3");
-        let output = python.args(arguments).current_dir(&here).output();
+        let output = python.args(arguments).current_dir(&*here).output();
         output.ok().filter(|output| output.status.success())
     };
     if python(&["-c", "import mcap"]).is_none() {
@@ -125,9 +123,9 @@ pub(crate) fn each(change: impl Fn(&mut Row) + 'static) -> Change {
 
 #[test]
 fn each_planted_mistake_is_named_and_none_yields_a_bank() {
-    let here = directory("planted");
+    let here = Directory::new("planted");
     log(&here.join("good.csv"), 3000, 0.0, None, 0.05);
-    let good = text(here.join("good.csv"));
+    let good = here.text("good.csv");
     let swap = |a: usize, b: usize, width: usize| {
         each(move |row: &mut Row| (0..width).for_each(|k| row.swap(a + k, b + k)))
     };
@@ -274,11 +272,11 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     ];
     let judged = |words: &str| {
         let identify = "identify --robot ur5 --log bad.csv --methods wls --out out";
-        refused(&here, identify, words);
+        here.refused(identify, words);
         assert!(!here.join("out/parameters.bank").exists(), "{words}");
     };
     for (change, words) in &cases {
-        write(here.join("bad.csv"), planted(&good, change.as_ref()));
+        here.write("bad.csv", planted(&good, change.as_ref()));
         judged(words);
     }
     // The rate of this clock is in the torques alone.
@@ -288,31 +286,31 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         [&fields[..Q + 6], &fields[TAU..]].concat().join(",")
     };
     let bare: Vec<String> = fast.lines().map(bare).collect();
-    write(here.join("bad.csv"), bare.join("\n"));
+    here.write("bad.csv", bare.join("\n"));
     judged("times: doubled they follow the description");
     // A limit that some export has put there.
-    write(here.join("good.csv"), &good);
+    here.write("good.csv", &good);
     let weak = "--torque-limits 150,5,150,28,28,28";
     let remedy = "of the arm's own weight: correct it (--torque-limits)";
     let identify = format!("identify --robot ur5 --log good.csv {weak} --methods wls --out out");
-    refused(&here, &identify, remedy);
-    let described = succeeds(&here, &format!("describe ur5 {weak}"));
+    here.refused(&identify, remedy);
+    let described = here.succeeds(format!("describe ur5 {weak}"));
     assert_contains(&described, "torque limit of 5 N·m is below the");
     let turned = planted(&good, scale(TAU..TAU + 6, -1.0).as_ref());
-    write(here.join("turned.csv"), turned);
+    here.write("turned.csv", turned);
     let step = std::f64::consts::TAU / 4096.0;
     let coarse = each(move |row| {
         let values = row[Q..Q + 6].iter_mut();
         values.for_each(|q| *q = (*q / step).round() * step);
     });
-    write(here.join("coarse.csv"), planted(&good, coarse.as_ref()));
+    here.write("coarse.csv", planted(&good, coarse.as_ref()));
     for sound in ["turned.csv --units tau=-Nm", "coarse.csv"] {
         let identify = format!("identify --robot ur5 --log {sound} --data-check");
-        assert_contains(&succeeds(&here, &identify), "no finding that refuses");
+        here.shows(&identify, "no finding that refuses");
     }
     let held =
         each(|row| row[TAU + 1] = row[TAU + 1].clamp(-45.0, 45.0) + 0.1 * (1e3 * row[0]).sin());
-    write(here.join("held.csv"), planted(&good, held.as_ref()));
+    here.write("held.csv", planted(&good, held.as_ref()));
     for (log, limits, warning) in [
         (
             "held",
@@ -332,10 +330,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         ("good", "2000", "the scale of the torques is unchecked: "),
     ] {
         let identify = format!("identify --robot ur5 --log {log}.csv --torque-limits {limits}");
-        assert_contains(
-            &succeeds(&here, &format!("{identify} --data-check")),
-            warning,
-        );
+        here.shows(format!("{identify} --data-check"), warning);
     }
     let mut loaded = Robot::load("ur5").expect("built in");
     let last = loaded.joints.last_mut().expect("six");
@@ -367,20 +362,20 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     }
     // Beside the flange, where it loads the last joints most.
     let tool = "from = 'panda'\n[tool]\nmass_kg = 2\ncom_m = [0, 0.05, 0.05]\ninertia_kg_m2 = { xx = 0.01, yy = 0.01, zz = 0.01 }\n";
-    write(here.join("tool.toml"), tool);
+    here.write("tool.toml", tool);
     let simulate =
         "simulate --robot tool.toml --trajectory validation --duration-s 12 --out hand.csv";
-    succeeds(&here, simulate);
+    here.succeeds(simulate);
     let identify = "identify --robot panda --log hand.csv --data-check";
-    refused(&here, identify, " kg at the flange explains what");
+    here.refused(identify, " kg at the flange explains what");
     let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
     let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
     log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
     judged("another arm");
     // The learner is not replayed on it either, but by force.
     let replay = "replay --robot ur5 --log bad.csv --out replayed";
-    refused(&here, replay, "another arm");
-    succeeds(&here, &format!("{replay} --force"));
+    here.refused(replay, "another arm");
+    here.succeeds(format!("{replay} --force"));
     // A sound log of a plant that is not its description passes, and so does a refused one by force.
     // A refused one leaves the bank of before.
     let bank = here.join("out/parameters.bank");
@@ -390,8 +385,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         ("bad.csv --methods wls", false),
         ("bad.csv --methods wls --force", true),
     ] {
-        let identify = format!("identify --robot ur5 --out out --log {arguments}");
-        host_sim(&here, &identify);
+        here.run(format!("identify --robot ur5 --out out --log {arguments}"));
         let written = fs::read(&bank).ok();
         assert_eq!(written != before, writes, "{arguments}");
         before = written;
@@ -400,16 +394,16 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
 
 #[test]
 fn an_inaccurate_description_is_no_mistake() {
-    let here = directory("planted-none");
+    let here = Directory::new("planted-none");
     for seed in [1, 2] {
         let plant = "--duration-s 15 --torque-noise 0.002 --out plant.csv";
         let path = format!("--trajectory validation --seed {seed}");
-        succeeds(&here, &format!("simulate --robot ur5 {path} {plant}"));
+        here.succeeds(format!("simulate --robot ur5 {path} {plant}"));
         let identify = "identify --robot ur5 --log plant.csv";
-        let stdout = succeeds(&here, &format!("{identify} --data-check"));
+        let stdout = here.succeeds(format!("{identify} --data-check"));
         assert_contains(&stdout, "no finding that refuses a bank");
         let wls = "--validate plant.csv --methods wls --out out";
-        let stdout = succeeds(&here, &format!("{identify} {wls}"));
+        let stdout = here.succeeds(format!("{identify} {wls}"));
         assert_contains(&stdout, "holds what the training log");
         assert_contains(&stdout, "torque error joint by joint, wls:");
     }
@@ -417,7 +411,7 @@ fn an_inaccurate_description_is_no_mistake() {
 
 #[test]
 fn columns_of_real_logs_are_read_in_another_way_by_no_description_however_poor() {
-    let here = directory("poor");
+    let here = Directory::new("poor");
     let data = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ur5-real");
     let log = format!("{data}/Movement_No6_Acc_slow_Verify_Model.csv.gz");
     for seed in 0..16_u32 {
@@ -432,9 +426,9 @@ fn columns_of_real_logs_are_read_in_another_way_by_no_description_however_poor()
             joint.link.inertia_com *= (0.7 * draw()).exp();
             joint.drive.rotor_inertia *= (1.0 + draw()).max(0.0);
         }
-        write(here.join("poor.toml"), robot.to_toml().expect("text"));
+        here.write("poor.toml", robot.to_toml().expect("text"));
         let judged = format!("identify --data-check --robot poor.toml --log {log}");
-        let output = host_sim(&here, &judged);
+        let output = here.run(&judged);
         let text =
             String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
         assert_contains(&text, "joint 6 ");
@@ -446,7 +440,7 @@ fn columns_of_real_logs_are_read_in_another_way_by_no_description_however_poor()
 
 #[test]
 fn a_sound_log_of_any_arm_is_refused_for_nothing() {
-    let here = directory("sound_logs");
+    let here = Directory::new("sound_logs");
     let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
     let files = fs::read_dir(robots).expect("robots");
     for file in files.map(|file| file.expect("readable").path()) {
@@ -463,11 +457,10 @@ fn a_sound_log_of_any_arm_is_refused_for_nothing() {
             (joint.friction.viscous, joint.friction.coulomb) = (0.1, 0.01);
         }
         for (robot, seed) in [(&described, 1), (&bare, 17), (&light, 1)] {
-            write(here.join("arm.toml"), robot.to_toml().expect("text"));
+            here.write("arm.toml", robot.to_toml().expect("text"));
             let path = "--trajectory validation --duration-s 8 --robot arm.toml --out log.csv";
-            succeeds(&here, &format!("simulate {path} --seed {seed}"));
-            let identify = "identify --data-check --robot arm.toml --log log.csv";
-            succeeds(&here, identify);
+            here.succeeds(format!("simulate {path} --seed {seed}"));
+            here.succeeds("identify --data-check --robot arm.toml --log log.csv");
         }
     }
 }

@@ -14,54 +14,102 @@ use foretorque_workbench::table::state_columns;
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
 use std::fs;
+use std::ops::Deref;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// An empty directory for one test.
-fn directory(name: &str) -> PathBuf {
-    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
-    let _ = fs::remove_dir_all(&directory);
-    fs::create_dir_all(&directory).expect("the directory of the tests can be written");
-    directory
+/// The directory of one test, empty at first, in which the program runs.
+struct Directory(PathBuf);
+
+impl Deref for Directory {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        &self.0
+    }
 }
 
-/// The program with arguments separated by spaces.
-fn command(directory: &Path, arguments: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
-    let arguments = arguments.split_whitespace();
-    command.current_dir(directory).args(arguments);
-    command.stdin(Stdio::null());
-    command
-}
+impl Directory {
+    fn new(name: &str) -> Self {
+        let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
+        let _ = fs::remove_dir_all(&directory);
+        fs::create_dir_all(&directory).expect("the directory of the tests can be written");
+        Self(directory)
+    }
 
-fn host_sim(directory: &Path, arguments: &str) -> Output {
-    let output = command(directory, arguments).output();
-    output.expect("the program starts")
-}
+    /// The program with arguments separated by spaces.
+    fn command(&self, arguments: impl AsRef<str>) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
+        let arguments = arguments.as_ref().split_whitespace();
+        command.current_dir(&self.0).args(arguments);
+        command.stdin(Stdio::null());
+        command
+    }
 
-/// Standard output of a run that succeeds.
-fn succeeds(directory: &Path, arguments: &str) -> String {
-    let output = host_sim(directory, arguments);
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "`{arguments}` wrote {stderr}");
-    String::from_utf8(output.stdout).expect("UTF-8")
-}
+    fn run(&self, arguments: impl AsRef<str>) -> Output {
+        self.command(arguments).output().expect("it starts")
+    }
 
-/// The one line that the program fails with.
-fn fails(directory: &Path, arguments: &str) -> String {
-    failure(arguments, &host_sim(directory, arguments))
-}
+    /// Standard output of a run that succeeds.
+    #[track_caller]
+    fn succeeds(&self, arguments: impl AsRef<str>) -> String {
+        let arguments = arguments.as_ref();
+        let output = self.run(arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "`{arguments}` wrote {stderr}");
+        String::from_utf8(output.stdout).expect("UTF-8")
+    }
 
-/// Fails in one line that has `words` in it.
-#[track_caller]
-fn refused(directory: &Path, arguments: &str, words: impl AsRef<str>) {
-    assert_contains(&fails(directory, arguments), words);
+    /// Succeeds, with `words` on standard output.
+    #[track_caller]
+    fn shows(&self, arguments: impl AsRef<str>, words: impl AsRef<str>) {
+        assert_contains(&self.succeeds(arguments), words);
+    }
+
+    /// The one line that the program fails with.
+    #[track_caller]
+    fn fails(&self, arguments: impl AsRef<str>) -> String {
+        failure(arguments.as_ref(), &self.run(&arguments))
+    }
+
+    /// Fails in one line that has `words` in it.
+    #[track_caller]
+    fn refused(&self, arguments: impl AsRef<str>, words: impl AsRef<str>) {
+        assert_contains(&self.fails(arguments), words);
+    }
+
+    /// Names of the files in a directory below this one, sorted.
+    fn files(&self, below: impl AsRef<Path>) -> Vec<String> {
+        let entries = fs::read_dir(self.join(below)).expect("it is there");
+        let names = entries.map(|entry| entry.expect("it is there").file_name());
+        let mut names: Vec<_> = names.map(|name| name.to_string_lossy().into()).collect();
+        names.sort();
+        names
+    }
+
+    /// Content of a text file.
+    #[track_caller]
+    fn text(&self, name: impl AsRef<Path>) -> String {
+        let path = self.join(name);
+        fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    }
+
+    /// Content of a JSON file.
+    #[track_caller]
+    fn json(&self, name: impl AsRef<Path>) -> Value {
+        serde_json::from_str(&self.text(name)).expect("it is JSON")
+    }
+
+    fn write(&self, name: impl AsRef<Path>, content: impl AsRef<[u8]>) {
+        fs::write(self.join(name), content).expect("it can be written");
+    }
 }
 
 /// The one line of a run that failed.
+#[track_caller]
 fn failure(arguments: &str, output: &Output) -> String {
     let stderr = String::from_utf8(output.stderr.clone()).expect("UTF-8");
     // 2 for a wrong command line, of which an option is named first.
@@ -71,15 +119,6 @@ fn failure(arguments: &str, output: &Output) -> String {
     let sound = output.status.code() == code && line && !stderr.contains("panicked");
     assert!(sound, "`{arguments}` wrote {stderr}");
     stderr
-}
-
-/// Names of the files in a directory, sorted.
-fn files(directory: &Path) -> Vec<String> {
-    let entries = fs::read_dir(directory).expect("it is there");
-    let names = entries.map(|entry| entry.expect("it is there").file_name());
-    let mut names: Vec<_> = names.map(|name| name.to_string_lossy().into()).collect();
-    names.sort();
-    names
 }
 
 /// The finding of `look` within a minute.
@@ -122,23 +161,8 @@ fn at_port<T>(mut play: impl FnMut(&mut TTYPort) + Send, work: impl FnOnce(&str)
     })
 }
 
-/// Content of a text file.
-fn text(path: impl AsRef<Path>) -> String {
-    let path = path.as_ref();
-    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
-}
-
-/// Content of a JSON file.
-fn json(path: impl AsRef<Path>) -> Value {
-    serde_json::from_str(&text(path)).expect("it is JSON")
-}
-
 fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
-}
-
-fn write(path: impl AsRef<Path>, content: impl AsRef<[u8]>) {
-    fs::write(path, content).expect("it can be written");
 }
 
 /// States of an arm of `joints` joints, all of them with one value in all columns.

@@ -1,8 +1,6 @@
 //! Boards on a pseudo-terminal: driven by the program and by the clients in one file each, and read along.
 
-use crate::{
-    assert_contains, at_port, directory, files, python, refused, states, succeeds, text, write,
-};
+use crate::{Directory, assert_contains, at_port, python, states};
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::{ParameterSet, Ur5};
@@ -42,34 +40,34 @@ fn ur5() -> Native<Ur5, 6, 40> {
 
 #[test]
 fn a_board_that_drives_another_robot_is_refused() {
-    let here = directory("other-robot");
-    write(here.join("states.csv"), states(6));
+    let here = Directory::new("other-robot");
+    here.write("states.csv", states(6));
     let panda = Native::<Panda, 7, 48>::new().expect("the arm's limits are usable");
     with_board(panda, |port| {
         let board = format!("--board serial:{port} --in states.csv --out tau.csv");
         let (panda, ur5) = (Panda::HASH, Ur5::HASH);
         let reason = format!("the board drives panda ({panda:08x}, 7 joints), not ur5 ({ur5:08x})");
-        refused(&here, &format!("torque --robot ur5 {board}"), reason);
+        here.refused(format!("torque --robot ur5 {board}"), reason);
     });
-    assert_eq!(files(&here), ["states.csv"]);
+    assert_eq!(here.files("."), ["states.csv"]);
 }
 
 #[test]
 fn a_board_on_a_serial_port_computes_torque() {
-    let here = directory("serial");
-    write(here.join("states.csv"), states(6));
+    let here = Directory::new("serial");
+    here.write("states.csv", states(6));
     let torque = "torque --robot ur5 --in states.csv --out";
     with_board(ur5(), |port| {
-        succeeds(&here, &format!("{torque} tau.csv --board serial:{port}"))
+        here.succeeds(format!("{torque} tau.csv --board serial:{port}"))
     });
-    succeeds(&here, &format!("{torque} native.csv"));
-    let [serial, native] = ["tau.csv", "native.csv"].map(|name| text(here.join(name)));
+    here.succeeds(format!("{torque} native.csv"));
+    let [serial, native] = ["tau.csv", "native.csv"].map(|name| here.text(name));
     assert!(serial == native, "the port changes nothing");
 }
 
 #[test]
 fn a_line_is_read_along_without_a_byte_sent() {
-    let here = directory("record");
+    let here = Directory::new("record");
     let (mut tick, mut received) = (0, 0);
     let answer = |line: &mut TTYPort| {
         tick += 10;
@@ -91,19 +89,19 @@ fn a_line_is_read_along_without_a_byte_sent() {
     };
     let record = |port: &str| format!("record --board serial:{port} --duration-s 2 --out");
     let (port, shown) = at_port(answer, |port| {
-        let shown = succeeds(&here, &format!("{} telemetry.csv", record(port)));
+        let shown = here.succeeds(format!("{} telemetry.csv", record(port)));
         (port.to_owned(), shown)
     });
     assert_eq!(received, 0, "bytes were sent");
     assert_contains(&shown, " records, 0 left out");
-    let table = text(here.join("telemetry.csv"));
+    let table = here.text("telemetry.csv");
     let mut lines = table.lines();
     let header = "t_s,total1_nm,total2_nm,total3_nm,total4_nm,total5_nm,total6_nm";
     assert_eq!(lines.next(), Some(header));
     let row = lines.next().expect("a record");
     assert!(row.ends_with(",1.5,2,2.5,3,3.5,4"), "{row}");
-    refused(&here, &format!("{} silent.csv", record(&port)), &port);
-    assert_eq!(files(&here), ["telemetry.csv", "telemetry.mcap"]);
+    here.refused(format!("{} silent.csv", record(&port)), &port);
+    assert_eq!(here.files("."), ["telemetry.csv", "telemetry.mcap"]);
 }
 
 /// Pose in which the clients begin, rad.
@@ -172,7 +170,7 @@ const DISARM: u8 = 11;
 
 #[test]
 fn clients_refuse_mistakes_before_they_arm() {
-    let here = directory("client-mistakes");
+    let here = Directory::new("client-mistakes");
     let python = python::with("termios");
     let program = compiled(&here);
     let cases = [
@@ -200,19 +198,18 @@ fn clients_refuse_mistakes_before_they_arm() {
             .as_ref()
             .map(|program| (Command::new(program), words));
         for (mut command, words) in python.into_iter().chain(c) {
-            command.current_dir(&here);
+            command.current_dir(&*here);
             let (code, stderr, tags) = tapped(|port| {
                 command.arg(port).args(&words);
                 command
             });
             assert_eq!(code, Some(2), "{words:?}: {stderr}");
-            let last = stderr.lines().last().expect("a line");
-            assert_contains(last, "error: ");
+            assert_contains(stderr.lines().last().expect("a line"), "error: ");
             assert!(!stderr.contains("Traceback"), "{stderr}");
             assert!(!tags.contains(&ARM), "{words:?}");
         }
     }
-    assert!(files(&here).iter().all(|name| name == "client"));
+    assert!(here.files(".").iter().all(|name| name == "client"));
 }
 
 #[test]
@@ -220,12 +217,12 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
     let Some(python) = python::with("termios") else {
         return;
     };
-    let here = directory("client-period");
+    let here = Directory::new("client-period");
     let run = |options: &[&str]| {
         tapped(|port| {
             let mut command = Command::new(&python);
             command.arg("-B").arg(client("foretorque.py")).arg(port);
-            command.current_dir(&here).args(options);
+            command.current_dir(&*here).args(options);
             command
         })
     };
@@ -233,7 +230,7 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
     assert_eq!(code, Some(0), "{stderr}");
     let place = |tag| tags.iter().position(|sent| *sent == tag);
     assert!(place(CONFIGURE).expect("it configures") < place(ARM).expect("it arms"));
-    let table = text(here.join("log.csv"));
+    let table = here.text("log.csv");
     assert_eq!(table.lines().count(), 101);
     // From zero to the torque limit in 20 ms.
     let row = table.lines().nth(1).expect("a row");
@@ -245,7 +242,7 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
     // Where the board refuses to arm, the log from before stays.
     let (code, stderr, _) = run(&["--start", "0,0,9,0,0,0"]);
     assert_eq!(code, Some(1), "{stderr}");
-    assert_eq!(text(here.join("log.csv")), table);
+    assert_eq!(here.text("log.csv"), table);
 
     let (code, stderr, tags) = run(&["--log", "/dev/full"]);
     assert_eq!(code, Some(1));
@@ -269,7 +266,7 @@ fn driven(log: &Path, command: impl FnOnce(&str) -> Command) -> Vec<Vec<f64>> {
     assert!(samples.map(|frame| frame[6]).all(|celsius| celsius == 25));
     let stdout = String::from_utf8_lossy(&output.stdout);
     assert!(stdout.starts_with("ur5, 6 joints\n"), "{stdout}");
-    let text = text(log);
+    let text = std::fs::read_to_string(log).expect("it was written");
     let rows = text.lines().skip(1);
     let number = |field: &str| field.parse().expect("a number");
     rows.map(|row| row.split(',').map(number).collect())
@@ -297,7 +294,7 @@ fn torques_are_those_of_the_description(rows: &[Vec<f64>]) {
 
 #[test]
 fn python_and_c_drive_a_board_and_get_the_same_torques() {
-    let here = directory("clients");
+    let here = Directory::new("clients");
     let mut logs = Vec::new();
     if let Some(python) = python::with("termios") {
         let log = here.join("python.csv");
