@@ -1,7 +1,7 @@
 //! Options that commands share: the robot, and the arm in its description.
 
 use super::terminal::show;
-use super::{Failure, not_negative, positive, unusable};
+use super::{Failure, bail, not_negative, positive};
 use clap::Args;
 use foretorque::learning::MAX_COM_DISTANCE;
 use foretorque_workbench::dynamics::RigidBodies;
@@ -94,8 +94,7 @@ impl ArmOptions {
         let mut import = Robot::load_selected(name, &self.selection())?;
         if let Some(called) = &self.called {
             if !Robot::is_name(called) {
-                let form = Robot::NAME_FORM;
-                return Err(unusable(format!("--name {called}: {form}")));
+                bail!("--name {called}: {}", Robot::NAME_FORM);
             }
             import.robot.name.clone_from(called);
         }
@@ -114,12 +113,9 @@ impl ArmOptions {
         ];
         let joints = import.robot.joint_count();
         for (option, values, place) in places {
-            let found = values.len();
+            let (found, count) = (values.len(), joint_count(joints));
             if ![0, 1, joints].contains(&found) {
-                return Err(unusable(format!(
-                    "{option} has {found} values, the arm has {}",
-                    joint_count(joints)
-                )));
+                bail!("{option} has {found} values, the arm has {count}");
             }
             for (joint, value) in import.robot.joints.iter_mut().zip(values.iter().cycle()) {
                 *place(joint) = *value;
@@ -132,12 +128,12 @@ impl ArmOptions {
     /// The arm called `name`, of which each drive turns one joint; its notes are printed.
     pub(super) fn load(&self, name: &str) -> Result<Robot, Failure> {
         let robot = self.load_coupled(name)?;
-        match robot.coupling {
-            None => Ok(robot),
-            Some(_) => Err(unusable(format!(
+        if robot.coupling.is_some() {
+            bail!(
                 "{name}: coupled joints are for describe, excite, simulate, identify and torque only; take the description without its [coupling]"
-            ))),
+            );
         }
+        Ok(robot)
     }
 
     /// The arm called `name`, which may have coupled joints; its notes are printed.

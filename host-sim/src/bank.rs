@@ -1,7 +1,7 @@
 use super::arm::ArmOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::terminal::show;
-use super::{Failure, text_of, unusable};
+use super::{Failure, bail, text_of, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bank::{BankError, ParameterBank};
@@ -63,9 +63,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         if arguments.read.is_some() && arguments.file.exists() && read(&arguments.file).is_err() {
             let file = arguments.file.display();
-            return Err(unusable(format!(
-                "{file} is there and no bank: choose another name"
-            )));
+            bail!("{file} is there and no bank: choose another name");
         }
         let robot = &arguments.arm.load(robot)?;
         let found: Result<_, Failure> =
@@ -213,15 +211,10 @@ pub(super) fn read_key(path: &Path) -> Result<WriteKey, Failure> {
 }
 
 fn key_bytes(text: &str) -> Option<[u8; KEY_BYTES]> {
-    let mut key = [0; KEY_BYTES];
-    let digits = text.as_bytes();
-    if digits.len() != 2 * KEY_BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
-        return None;
-    }
-    for (byte, pair) in key.iter_mut().zip(digits.chunks(2)) {
-        *byte = u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok()?;
-    }
-    Some(key)
+    // The parser takes a sign and fewer digits, too.
+    let digits = text.len() == 2 * KEY_BYTES && text.bytes().all(|c| c.is_ascii_hexdigit());
+    let key = u128::from_str_radix(text, 16).ok();
+    key.filter(|_| digits).map(u128::to_be_bytes)
 }
 
 #[cfg(test)]

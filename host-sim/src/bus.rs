@@ -4,7 +4,7 @@
 use super::arm::ArmOptions;
 use super::boards::on_arm;
 use super::terminal::{SignalGuard, show, write_line};
-use super::{Failure, not_over, unusable};
+use super::{Failure, bail, not_over, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusJoint, Role, Wires, Wiring};
@@ -203,25 +203,21 @@ impl WiringArguments {
             RoleName::Uart => (Role::InLine, Wires::Uart),
         };
         if let Some(only) = self.joint.filter(|only| !(1..=N).contains(only)) {
-            let reason = format!("--joint {only}: the arm has joints 1 to {N}");
-            return Err(unusable(reason));
+            bail!("--joint {only}: the arm has joints 1 to {N}");
         }
         let wiring = profile.wiring::<A, N, P>(role, wires, self.joint)?;
-        let mut buses = Vec::new();
+        let (file, mut buses) = (&profile.file, Vec::new());
         for (joint, slot) in (1..).zip(&wiring.joints) {
             if let Some(problem) = slot.and_then(|own| self.role.problem(&own)) {
-                let file = &profile.file;
-                return Err(unusable(format!("{file}: joint {joint}: {problem}")));
+                bail!("{file}: joint {joint}: {problem}");
             }
             buses.extend(slot.map(|own| own.bus));
         }
         let apart = buses.iter().any(|bus| *bus != buses[0]);
         if apart && role == Role::InLine || wires == Wires::Uart && buses.len() > 1 {
-            let problem = "such a board has one line of drives: choose its joint with --joint";
-            return Err(unusable(format!("{}: {problem}", profile.file)));
+            bail!("{file}: such a board has one line of drives: choose its joint with --joint");
         }
         let mut buffer = vec![0; Wiring::<N>::BYTES];
-        let file = &profile.file;
         let many = format!("{file}: more drives than the flash of a board holds");
         let bytes = wiring.encode(&mut buffer).map_err(|_| unusable(many))?;
         write_whole(&self.out, bytes)?;

@@ -4,7 +4,8 @@ use super::bus::{Attended, prompt, wired};
 use super::disturbances::triple;
 use super::terminal::show;
 use super::{
-    Failure, arguments as of, drive, excite, identify, positive, text_of, unsupported, unusable,
+    Failure, arguments as of, bail, drive, excite, identify, positive, text_of, unsupported,
+    unusable,
 };
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
@@ -87,13 +88,13 @@ impl StepName {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
     if profile.rest_rad.is_empty() {
-        let file = &profile.file;
-        return Err(unusable(format!(
-            "{file}: rest_rad is missing: the pose of rest without torque"
-        )));
+        bail!(
+            "{}: rest_rad is missing: the pose of rest without torque",
+            profile.file
+        );
     }
     if arguments.step == Some(StepName::Weight) && arguments.weight_kg.is_none() {
-        return Err(unusable("--step weight needs --weight-kg"));
+        bail!("--step weight needs --weight-kg");
     }
     let robot = &arguments.arm.load(&profile.robot)?;
     let wanted: Vec<StepName> = match arguments.step {
@@ -160,15 +161,9 @@ impl Arguments {
                 identify::run(&identify)
             }
             _ => {
-                let words = [
-                    "--robot",
-                    &profile.robot,
-                    "--seed",
-                    &seed,
-                    "--out",
-                    &excited,
-                ];
-                let mut excite: excite::Arguments = of(&words)?;
+                let robot = &profile.robot;
+                let words = [["--robot", robot], ["--seed", &seed], ["--out", &excited]];
+                let mut excite: excite::Arguments = of(words.as_flattened())?;
                 excite.robot.arm = self.arm.clone();
                 excite::run(&excite)
             }
@@ -183,9 +178,7 @@ impl Arguments {
     ) -> Result<(), Failure> {
         let rated = f64::from(rated_payload::<A, N, P>());
         if let Some(mass) = self.weight_kg.filter(|mass| *mass > rated) {
-            return Err(unusable(format!(
-                "--weight-kg {mass}: more than the {rated:.2} kg that the arm carries"
-            )));
+            bail!("--weight-kg {mass}: more than the {rated:.2} kg that the arm carries");
         }
         let (config, robot) = (profile.config::<A, N, P>()?, &with_rotors(robot)?);
         let rest = Joints::<N>::from_column_slice(&profile.rest_rad);
@@ -193,13 +186,11 @@ impl Arguments {
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
         let network: Box<dyn Network> = if self.bus.is_simulated() {
             let truth = robot.perturbed(self.seed, &Perturbation::PLANT);
-            let plant = plant_config(PlantConfig::default());
-            let plant = Plant::<N>::new(&truth, plant, self.seed);
+            let plant = Plant::<N>::new(&truth, plant_config(PlantConfig::default()), self.seed);
             let mut plant = plant.ok_or_else(other_size)?;
             plant.place(&rest);
             let rates = profile.common_rates()?;
-            let noise = Joints::zeros();
-            let network = SimulatedNetwork::new(plant, &config, rates, &noise, self.seed);
+            let network = SimulatedNetwork::new(plant, &config, rates, &Joints::zeros(), self.seed);
             Box::new(network)
         } else {
             Box::new(wired(&self.bus, profile)?)

@@ -1,10 +1,10 @@
 use super::terminal::show;
-use super::{Failure, not_over, text_of, unusable};
+use super::{Failure, bail, not_over, text_of, unusable};
 use clap::Args;
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::report::page::{Page, Section};
 use serde_json::Value;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Put the figures of two reports side by side
@@ -29,18 +29,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let files = [&arguments.a, &arguments.b].map(|path| report(path));
     not_over(files, arguments.out.clone())?;
     let (a, b) = (read(&arguments.a)?, read(&arguments.b)?);
-    let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
-    keys.sort();
-    keys.dedup();
-    let names = [&arguments.a, &arguments.b].map(|path| path.display().to_string());
-    let [one, other] = &names;
-    if !keys
-        .iter()
-        .any(|key| a.contains_key(*key) && b.contains_key(*key))
-    {
-        return Err(unusable(format!(
-            "{one} and {other} have no figure in common"
-        )));
+    let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    let [one, other] = &[&arguments.a, &arguments.b].map(|path| path.display().to_string());
+    if !a.keys().any(|key| b.contains_key(key)) {
+        bail!("{one} and {other} have no figure in common");
     }
     let keys = keys.into_iter();
     let shown = keys.filter(|key| arguments.all || a.get(*key) != b.get(*key));

@@ -60,8 +60,7 @@ impl Describe {
             Format::Toml => return toml(robot.to_toml()?),
             Format::Overlay => {
                 let name = Path::new(&self.robot).file_name().unwrap_or_default();
-                let selection = self.arm.selection();
-                return toml(robot.to_overlay(&name.to_string_lossy(), &selection)?);
+                return toml(robot.to_overlay(&name.to_string_lossy(), &self.arm.selection())?);
             }
             Format::Urdf => urdf::write,
             Format::Mjcf => urdf::mjcf,

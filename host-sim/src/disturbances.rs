@@ -1,6 +1,6 @@
 //! Options for disturbances of the simulated arm and faults of its reports.
 
-use super::{Failure, finite, fitting, not_negative, positive, share, unusable};
+use super::{Failure, bail, finite, fitting, not_negative, positive, share};
 use clap::{Args, FromArgMatches as _};
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::plant::{Events, Payload, PlantConfig, PlantEffects, Push, ReportFaults};
@@ -138,9 +138,7 @@ impl DisturbanceArguments {
         let payloads = self.payload.iter().map(|it| ("--payload", it.time_s.start));
         let pushes = self.push.iter().map(|it| ("--push", it.time_s.start));
         if let Some((option, from_s)) = payloads.chain(pushes).find(|it| it.1 >= duration_s) {
-            return Err(unusable(format!(
-                "{option}: it begins at {from_s} s, the motion ends at {duration_s:.3} s"
-            )));
+            bail!("{option}: it begins at {from_s} s, the motion ends at {duration_s:.3} s");
         }
         for During { what, time_s } in &self.payload {
             let payload = Payload::cube(*what, self.payload_com, time_s.start, time_s.end);
@@ -149,9 +147,10 @@ impl DisturbanceArguments {
         for During { what, time_s } in &self.push {
             let mut torque = Joints::<N>::zeros();
             let (joint, torque_nm) = *what;
-            let missing = format!("--push: there is no joint {joint}, the last one is {N}");
-            let place = torque.get_mut(joint - 1);
-            *place.ok_or_else(|| unusable(missing))? = torque_nm;
+            let Some(place) = torque.get_mut(joint - 1) else {
+                bail!("--push: there is no joint {joint}, the last one is {N}");
+            };
+            *place = torque_nm;
             events.pushes.push(Push {
                 torque,
                 from_s: time_s.start,
@@ -166,8 +165,7 @@ impl DisturbanceArguments {
     /// Errors: a default that is refused.
     pub(super) fn any(&self) -> Result<bool, Failure> {
         let command = Self::augment_args(clap::Command::new(""));
-        let none = Self::from_arg_matches(&command.try_get_matches_from([""])?)?;
-        Ok(*self != none)
+        Ok(*self != Self::from_arg_matches(&command.try_get_matches_from([""])?)?)
     }
 }
 

@@ -4,7 +4,7 @@ use super::bus::{Attended, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, show};
-use super::{Failure, bank, duration, not_over, unsupported, unusable, within};
+use super::{Failure, bail, bank, duration, not_over, unsupported, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -110,8 +110,7 @@ impl Arguments {
         let robot = &with_rotors(robot)?;
         let simulated = self.bus.is_simulated();
         if !simulated && (self.exact || self.disturbances.any()?) {
-            let problem = "the arm on this bus is real: leave out --exact and the disturbances";
-            return Err(unusable(problem));
+            bail!("the arm on this bus is real: leave out --exact and the disturbances");
         }
         let drive = Drive::<A, N, P>::new(self, profile, robot)?;
         if !simulated {
@@ -119,8 +118,7 @@ impl Arguments {
         }
         let mut alone = None;
         if !self.alone {
-            let network = Box::new(drive.simulated()?);
-            let played = drive.tracking(network, true, &mut |_| Ok(()))?;
+            let played = drive.tracking(Box::new(drive.simulated()?), true, &mut |_| Ok(()))?;
             alone = played.rms_mrad().filter(|_| played.ended.is_none());
             if let Some(reason) = played.ended {
                 show!("PD of the drives alone: {reason}")?;
@@ -329,7 +327,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         };
         write_json(&out.join("drive.json"), &summary)?;
         if let Some(reason) = played.ended {
-            return Err(unusable(reason));
+            bail!("{reason}");
         }
         let (ticks, rate_hz) = (summary.ticks, summary.rate_hz);
         show!(

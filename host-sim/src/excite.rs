@@ -1,6 +1,6 @@
 use super::arm::{RobotOptions, with_rotors};
 use super::terminal::{Bar, show};
-use super::{Failure, finite, not_over, positive, text_of, unusable, within};
+use super::{Failure, bail, finite, not_over, positive, text_of, unusable, within};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, MOST_PERIOD_S, SearchConfig};
 use foretorque_workbench::files::{WholeFile, write_whole};
@@ -104,10 +104,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         None => (!solid).then_some("its description has no capsules"),
     };
     if let Some((reason, table_m)) = unchecked.zip(arguments.table_m) {
-        let name = &robot.name;
-        return Err(unusable(format!(
-            "--table-m {table_m}: no table is checked for '{name}', {reason}: add capsules to single joints (docs/identification.md, Limits), or leave --table-m out"
-        )));
+        bail!(
+            "--table-m {table_m}: no table is checked for '{}', {reason}: add capsules to single joints (docs/identification.md, Limits), or leave --table-m out",
+            robot.name
+        );
     }
     if robot.coupling.is_some() {
         let joints = robot.joints.iter_mut();
@@ -202,8 +202,7 @@ fn write(excitation: &Excitation, out: &Path) -> Result<(), Failure> {
         let t_s = k as f64 * 1e-3;
         let motion = excitation.motion(t_s);
         let values = [&motion.q, &motion.qd, &motion.qdd].into_iter();
-        let values = values.flat_map(|values| values.iter());
-        table.row(std::iter::once(&t_s).chain(values))?;
+        table.row(std::iter::once(&t_s).chain(values.flat_map(|values| values.iter())))?;
     }
     table.finish()?;
     let page = excitation::page::page(excitation).html()?;

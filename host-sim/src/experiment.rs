@@ -3,7 +3,7 @@
 use super::arm::ArmOptions;
 use super::boards::BoardChoice;
 use super::terminal::{Bar, show};
-use super::{Failure, Snapshot, duration, excite, identification, unusable};
+use super::{Failure, Snapshot, bail, duration, excite, identification, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
@@ -222,8 +222,10 @@ impl Study {
             Self::Paper(own) => (own.jobs.seed, own.seeds),
             _ => return Ok(()),
         };
-        let too_large = || unusable(format!("--seed {first}: too large for --seeds {count}"));
-        first.checked_add(count).map(drop).ok_or_else(too_large)
+        if first.checked_add(count).is_none() {
+            bail!("--seed {first}: too large for --seeds {count}");
+        }
+        Ok(())
     }
 }
 
@@ -255,14 +257,13 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             out.study(|progress| replay::real_ur5(logs, out.seed, progress))
         }
         Some(Study::Soak(arguments)) => run_soak(arguments),
-        None => Err(unusable("which experiment? `experiment --list` shows them")),
+        None => bail!("which experiment? `experiment --list` shows them"),
     }
 }
 
 /// Names of the studies, each with one line on what it shows.
 fn list() -> Result<(), Failure> {
-    let studies = Study::augment_subcommands(Command::new("experiment"));
-    for study in studies.get_subcommands() {
+    for study in Study::augment_subcommands(Command::new("experiment")).get_subcommands() {
         let shows = study.get_about().cloned().unwrap_or_default();
         show!("{:<14} {shows}", study.get_name())?;
     }
@@ -312,18 +313,17 @@ impl Jobs {
             None => Records::Compute,
         };
         study(&out, &self.snapshot, |progress| {
-            let outcome = work(&records, &out, progress)?;
-            outcome.ok_or_else(|| unusable("the records are only written"))
+            work(&records, &out, progress)?.ok_or_else(|| unusable("the records are only written"))
         })
     }
 }
 
 fn run_demo(arguments: &Demo) -> Result<(), Failure> {
     if arguments.learning_s.min(arguments.usart_learning_s) < 1.0 {
-        return Err(unusable("times of learning must be at least 1 s"));
+        bail!("times of learning must be at least 1 s");
     }
     if arguments.usart_learning_s > arguments.learning_s {
-        return Err(unusable("--usart-learning-s must not exceed --learning-s"));
+        bail!("--usart-learning-s must not exceed --learning-s");
     }
     let config = DemoConfig {
         seed: arguments.out.seed,
@@ -335,7 +335,9 @@ fn run_demo(arguments: &Demo) -> Result<(), Failure> {
     arguments.out.study(|progress| {
         let mut bulk = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let beside = (*choice == BoardChoice::Qemu).then_some(BoardChoice::QemuUsart);
-        let usart = beside.map(|board| board.connect::<Ur5, JOINTS, PARAMETERS>(None));
+        let usart = beside
+            .as_ref()
+            .map(|board| board.connect::<Ur5, JOINTS, PARAMETERS>(None));
         let mut usart = usart.transpose()?;
         let boards = (&mut bulk, usart.as_mut());
         let names = (choice.to_string(), choice.toolchain(Ur5::NAME));
@@ -352,7 +354,7 @@ fn run_learning(arguments: &Learning) -> Result<(), Failure> {
     };
     let robot = arguments.robot.as_ref();
     if robot.is_none() && arguments.arm != ArmOptions::default() {
-        return Err(unusable("options of an arm need --robot"));
+        bail!("options of an arm need --robot");
     }
     let config = LearningConfig {
         robot: robot.map(|name| arguments.arm.load(name)).transpose()?,

@@ -1,5 +1,5 @@
 use super::terminal::{Bar, show};
-use super::{Failure, Snapshot, unusable};
+use super::{Failure, Snapshot, bail, unusable};
 use clap::Args;
 use foretorque_studies::faults::{self, Campaign, Lengths, scenarios};
 use foretorque_workbench::report::write_json;
@@ -72,7 +72,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let (count, out) = (failed.len(), arguments.out.display());
     show!("{text}\n{count} not survived; {out}")?;
     if !failed.is_empty() {
-        return Err(unusable(format!("not survived: {}", failed.join(", "))));
+        bail!("not survived: {}", failed.join(", "));
     }
     arguments.snapshot.keep(&text)
 }

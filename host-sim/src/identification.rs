@@ -1,6 +1,6 @@
 //! Methods of identification on simulated arms: a study of the commands of this program, which its report names.
 
-use super::{Failure, unusable};
+use super::{Failure, bail, unusable};
 use foretorque_studies::{Outcome, Progress};
 use foretorque_workbench::files::at;
 use foretorque_workbench::metrics::root_mean;
@@ -69,8 +69,7 @@ pub(super) fn run(
     progress: Progress<'_>,
 ) -> Result<Outcome<IdentificationReport>, Failure> {
     if !Path::new(PATHS).is_dir() {
-        let reason = format!("{PATHS} is not here: start in the root of foretorque's sources");
-        return Err(unusable(reason));
+        bail!("{PATHS} is not here: start in the root of foretorque's sources");
     }
     let arms = (first..first + seeds).map(|seed| (seed, LENGTH_S, FITS.to_vec()));
     let lengths =
@@ -182,9 +181,9 @@ fn execute(directory: &Path, line: &str) -> Result<(), Failure> {
         };
     }
     let output = command.stdin(Stdio::null()).output()?;
+    let reason = String::from_utf8_lossy(&output.stderr);
     if !output.status.success() {
-        let reason = String::from_utf8_lossy(&output.stderr);
-        return Err(unusable(format!("host-sim {line}: {}", reason.trim())));
+        bail!("host-sim {line}: {}", reason.trim());
     }
     Ok(())
 }
@@ -264,8 +263,7 @@ mod tests {
             let line = line.replace("SEED", "1").replace("LENGTH", "10");
             for (columns, methods) in FITS.into_iter().chain(COLUMNS.map(|c| (c, METHODS))) {
                 let line = line.replace("COLUMNS", columns).replace("METHODS", methods);
-                let words = ["host-sim"].into_iter().chain(line.split(' '));
-                CommandLine::try_parse_from(words)
+                CommandLine::try_parse_from(["host-sim"].into_iter().chain(line.split(' ')))
                     .unwrap_or_else(|error| panic!("{line}: {error}"));
             }
         }

@@ -1,7 +1,7 @@
 use super::arm::RobotOptions;
 use super::logs::{LogOptions, check_distinct, show_check};
 use super::terminal::{Lines, show};
-use super::{Failure, excite, not_negative, not_over, positive, sound, unusable, within};
+use super::{Failure, bail, excite, not_negative, not_over, positive, sound, within};
 use clap::Args;
 use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::arms;
@@ -106,12 +106,10 @@ fn fold_period_s(arguments: &Arguments, robot: &Robot) -> Result<Option<f64>, Fa
         period_s = Some(excite::read(path, robot)?.period_s);
     }
     match (arguments.filter, period_s) {
-        (Filter::Butterworth, Some(_)) => Err(unusable(
-            "--period-s and --excitation belong to --filter fourier",
-        )),
-        (Filter::Fourier, None) => Err(unusable(
-            "--filter fourier needs --period-s or --excitation",
-        )),
+        (Filter::Butterworth, Some(_)) => {
+            bail!("--period-s and --excitation belong to --filter fourier")
+        }
+        (Filter::Fourier, None) => bail!("--filter fourier needs --period-s or --excitation"),
         (_, period_s) => Ok(period_s),
     }
 }
@@ -127,10 +125,10 @@ impl Arguments {
         if !out.join("report.json").exists()
             && let Some(file) = within(out, &RESULTS).find(|file| file.exists())
         {
-            let file = file.display();
-            return Err(unusable(format!(
-                "--out: {file} is there without the report.json of an earlier run: choose another directory"
-            )));
+            bail!(
+                "--out: {} is there without the report.json of an earlier run: choose another directory",
+                file.display()
+            );
         }
         let truth = self.truth.iter().map(Path::new).flat_map(Robot::files);
         let logs = [&self.logs, &self.validate, &self.test];
@@ -152,8 +150,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.gains == Gains::Standstill {
         (robot, drive_gains) = with_gains(&robot, &arguments.logs, arguments.still_rad_s)?;
     }
-    let config = config(arguments, &robot)?;
-    identify_arm(arguments, &robot, drive_gains, &config)
+    identify_arm(arguments, &robot, drive_gains, &config(arguments, &robot)?)
 }
 
 fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
@@ -166,8 +163,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
             names.collect::<Vec<_>>()
         };
         if names(&described) != names(robot) {
-            let reason = format!("--truth {name}: an arm with other parameters");
-            return Err(unusable(reason));
+            bail!("--truth {name}: an arm with other parameters");
         }
         truth = Some(match arguments.truth_seed {
             Some(seed) => described.perturbed(seed, &Perturbation::PLANT),
@@ -181,8 +177,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     let methods = match &arguments.methods[..] {
         [] => METHODS.iter().map(|(method, _)| *method).collect(),
         chosen if chosen.iter().all(|name| *name == MethodName::BpBlackBox) => {
-            let problem = "--methods: bp_black_box has no bank, add another one";
-            return Err(unusable(problem));
+            bail!("--methods: bp_black_box has no bank, add another one")
         }
         chosen => chosen.to_vec(),
     };
@@ -349,9 +344,9 @@ fn identify_arm(
     show!("report  {}", shown.display())?;
     if let (Some(_), None) = (&robot.coupling, refused) {
         if outcome.robot.is_none() {
-            let problem =
-                "no bank: boards have no coupled joints; --methods consistent gives a robot.toml";
-            return Err(unusable(problem));
+            bail!(
+                "no bank: boards have no coupled joints; --methods consistent gives a robot.toml"
+            );
         }
         return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
     }
@@ -362,15 +357,13 @@ fn identify_arm(
 ///
 /// Errors: the finding that kept it from a bank; a fit that no bank holds.
 fn verdict(refused: Option<&Finding>, has_bank: bool) -> Result<(), Failure> {
-    match (refused, has_bank) {
-        (Some(Finding { text, .. }), _) => {
-            Err(unusable(format!("{text} (no bank; --force writes one)")))
-        }
-        (None, false) => Err(unusable(
-            "no bank: a bank has no place for a parameter of this fit (--columns)",
-        )),
-        (None, true) => Ok(()),
+    if let Some(Finding { text, .. }) = refused {
+        bail!("{text} (no bank; --force writes one)");
     }
+    if !has_bank {
+        bail!("no bank: a bank has no place for a parameter of this fit (--columns)");
+    }
+    Ok(())
 }
 
 /// Files of this command that an earlier run may have left.

@@ -3,7 +3,7 @@
 use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::terminal::{Bar, SignalGuard, show};
-use super::{Failure, bank, duration, not_over, positive, sound, unusable, within};
+use super::{Failure, bail, bank, duration, not_over, positive, sound, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, StartDeviations};
@@ -86,15 +86,17 @@ pub(super) fn check_distinct(logs: &[PathBuf]) -> Result<(), Failure> {
     let mut files = HashSet::new();
     for log in logs {
         if fs::canonicalize(log).is_ok_and(|file| !files.insert(file)) {
-            let log = log.display();
-            return Err(unusable(format!("--log {log} is given twice")));
+            bail!("--log {} is given twice", log.display());
         }
     }
     for (place, log) in logs.iter().enumerate() {
         let mut others = logs[..place].iter();
         if let Some(same) = others.find(|other| same_content(log, other)) {
-            let (log, same) = (log.display(), same.display());
-            return Err(unusable(format!("--log {log} is a copy of --log {same}")));
+            bail!(
+                "--log {} is a copy of --log {}",
+                log.display(),
+                same.display()
+            );
         }
     }
     Ok(())
@@ -123,8 +125,10 @@ const WAIT: Duration = Duration::from_millis(50);
 impl Record {
     pub(super) fn run(&self) -> Result<(), Failure> {
         let BoardChoice::Serial(port) = &self.board else {
-            let reason = "only the line of a board at serial:PORT can be read along";
-            return Err(unusable(format!("--board {}: {reason}", self.board)));
+            bail!(
+                "--board {}: only the line of a board at serial:PORT can be read along",
+                self.board
+            );
         };
         let end = self.duration_s.map(Duration::from_secs_f64);
         let end = end.map(|duration| Instant::now() + duration);
@@ -143,8 +147,9 @@ impl Record {
             }
         }
         let Some((records, torn)) = telemetry_tap.finish().map_err(named)? else {
-            let way = "the host of the board asks for it with Telemetry (docs/protocol.md)";
-            return Err(unusable(format!("serial:{port}: no telemetry: {way}")));
+            bail!(
+                "serial:{port}: no telemetry: the host of the board asks for it with Telemetry (docs/protocol.md)"
+            );
         };
         if let Some(error) = gone {
             show!("note: the line ended: {error}")?;
@@ -259,14 +264,13 @@ pub(super) fn show_check(judgement: &Judgement, parameters: usize) -> Result<(),
     }
     show_warnings(judgement)?;
     if let Some(finding) = judgement.findings.iter().find(|finding| finding.refuses) {
-        return Err(unusable(finding.text.clone()));
+        bail!("{}", finding.text);
     }
     let unseen = &judgement.unseen;
     if unseen.is_empty() {
         return show!("no finding that refuses a bank");
     }
-    let rank = parameters - unseen.len();
-    Err(IdentifyError::RankDeficient(rank, parameters, unseen.clone()).into())
+    Err(IdentifyError::RankDeficient(parameters - unseen.len(), parameters, unseen.clone()).into())
 }
 
 #[cfg(test)]

@@ -50,20 +50,29 @@ fn unusable(reason: impl Into<String>) -> Failure {
     Box::new(Refusal(reason.into()))
 }
 
+/// Ends the function with a refusal, given as a format.
+macro_rules! bail {
+    ($($text:tt)*) => {
+        return Err($crate::unusable(format!($($text)*)))
+    };
+}
+
+use bail;
+
 /// Success for logs without a finding that refuses.
 ///
 /// Errors: the first such finding, with the `way` out.
 fn sound(judgement: &Judgement, logs: &[PathBuf], way: &str) -> Result<(), Failure> {
-    let refused = judgement.findings.iter().find(|finding| finding.refuses);
-    refused.map_or(Ok(()), |Finding { text, .. }| {
-        Err(unusable(format!("{}: {text} ({way})", joined(logs))))
-    })
+    if let Some(Finding { text, .. }) = judgement.findings.iter().find(|own| own.refuses) {
+        bail!("{}: {text} ({way})", joined(logs));
+    }
+    Ok(())
 }
 
 /// A finite number, as the value of an option.
 fn finite(text: &str) -> Result<f64, String> {
     let wrong = format!("'{text}' is no number");
-    fitting(text, |value| value.is_finite(), &wrong)
+    fitting(text, |_| true, &wrong)
 }
 
 /// A number that fits, as the value of an option.
@@ -80,11 +89,8 @@ fn positive(text: &str) -> Result<f64, String> {
 /// Time of a motion, s.
 fn duration(text: &str) -> Result<f64, String> {
     let wrong = format!("must be positive and at most {MOST_DURATION_S}");
-    fitting(
-        text,
-        |value| value > 0.0 && value <= MOST_DURATION_S,
-        &wrong,
-    )
+    let fits = |value| value > 0.0 && value <= MOST_DURATION_S;
+    fitting(text, fits, &wrong)
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {
@@ -118,10 +124,10 @@ fn not_over(
     let one = |path: &PathBuf| fs::canonicalize(path).ok();
     let read: Vec<PathBuf> = read.into_iter().filter_map(|path| one(&path)).collect();
     let is_read = |path: &PathBuf| one(path).is_some_and(|path| read.contains(&path));
-    out.into_iter().find(is_read).map_or(Ok(()), |path| {
-        let name = path.display();
-        Err(unusable(format!("--out {name} is the file that is read")))
-    })
+    if let Some(path) = out.into_iter().find(is_read) {
+        bail!("--out {} is the file that is read", path.display());
+    }
+    Ok(())
 }
 
 /// Paths of files in a directory.
@@ -336,8 +342,7 @@ mod tests {
         program.build();
         let mut seen = 0;
         for path in pages() {
-            let page = fs::read_to_string(&path).expect("it is text");
-            for code in code(&page) {
+            for code in code(&fs::read_to_string(&path).expect("it is text")) {
                 if let Some(words) = words(&code, &program) {
                     let wrong = wrong(&words, &program);
                     assert_eq!(wrong, None, "{}: `{code}`", path.display());

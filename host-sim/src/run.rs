@@ -3,7 +3,7 @@ use super::boards::{BoardChoice, on_arm};
 use super::motion_log::MotionLog;
 use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
 use super::terminal::{self, Bar, show};
-use super::{Failure, bank, fitting, not_over, unusable, within};
+use super::{Failure, bail, bank, fitting, not_over, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
@@ -110,10 +110,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         within(&arguments.out, &RESULTS).chain(arguments.log.clone()),
     )?;
     if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
-        let board = &arguments.board;
-        return Err(unusable(format!(
-            "--log: board {board} has none, only qemu-usart"
-        )));
+        bail!("--log: board {} has none, only qemu-usart", arguments.board);
     }
     // Before the emulator starts, which would have an error of its own about the file; the emulator finds the directory.
     let log = arguments.log.as_deref().map(WholeFile::create);
@@ -122,8 +119,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     drop(place);
     if let (Some(stream), Some(log)) = (arguments.stream(), &arguments.log) {
         // Of a run that failed the log is of the more interest, but its own failure of less.
-        let written = arguments.board.write_log(&robot.name, &stream, log);
-        return outcome.and(written);
+        return outcome.and(arguments.board.write_log(&robot.name, &stream, log));
     }
     outcome
 }
@@ -204,10 +200,10 @@ fn gains_for_currents<const N: usize>(robot: &Robot) -> Result<JointVector<N>, F
     for joint in &robot.joints {
         let (name, limit, gain) = (&joint.name, joint.limits.torque, joint.gain());
         if limit / gain > f64::from(Effort::MAX) {
-            let most = format!("the {:.0} A that a sample carries", Effort::MAX);
-            return Err(unusable(format!(
-                "joint {name}: {limit} N·m at {gain} N·m/A is more than {most}: give --drive-gains"
-            )));
+            bail!(
+                "joint {name}: {limit} N·m at {gain} N·m/A is more than the {:.0} A that a sample carries: give --drive-gains",
+                Effort::MAX
+            );
         }
     }
     let gain = |j: usize| robot.joints[j].gain() as f32;
@@ -326,18 +322,16 @@ fn load_excitation<A: Arm<N, P>, const N: usize, const P: usize>(
     tracking_rad: f32,
 ) -> Result<(), Failure> {
     let Trajectory::Excitation { series, duration_s } = &scene.trajectory else {
-        let reason = "--excite-on-board: --trajectory must be an excitation.json";
-        return Err(unusable(reason));
+        bail!("--excite-on-board: --trajectory must be an excitation.json");
     };
     let periods = (duration_s / series.period_s).ceil().max(1.0);
     if periods > f64::from(u16::MAX) {
-        return Err(unusable(format!("--duration-s is {periods} periods")));
+        bail!("--duration-s is {periods} periods");
     }
     let program = series.program::<N>(A::hash(), periods as u16, tracking_rad)?;
     board.load_excitation(&program)?;
     scene.ticks = ((periods * series.period_s + AROUND_S) / PERIOD_S) as usize;
-    let waiting = State::rest(beside(series, robot));
-    scene.trajectory = Trajectory::Sampled(vec![(0.0, waiting)]);
+    scene.trajectory = Trajectory::Sampled(vec![(0.0, State::rest(beside(series, robot)))]);
     Ok(())
 }
 
@@ -361,15 +355,13 @@ fn has_ended<const N: usize>(
 ) -> Result<bool, Failure> {
     match stage {
         Some(ExcitationState::Holding) => Ok(true),
-        Some(ExcitationState::Aborted(reason)) => Err(unusable(format!(
-            "the board broke the excitation off after {:.3} s: {reason}",
-            tick as f64 * PERIOD_S
-        ))),
+        Some(ExcitationState::Aborted(reason)) => {
+            let t_s = tick as f64 * PERIOD_S;
+            bail!("the board broke the excitation off after {t_s:.3} s: {reason}")
+        }
         None if tick == CHECK_TICKS => match board.excitation(ExcitationCommand::Status)? {
             stage if stage.is_active() => Ok(false),
-            stage => Err(unusable(format!(
-                "the board did not begin the excitation: {stage:?}"
-            ))),
+            stage => bail!("the board did not begin the excitation: {stage:?}"),
         },
         _ => Ok(false),
     }

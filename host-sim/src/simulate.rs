@@ -2,7 +2,7 @@ use super::arm::{RobotOptions, with_rotors};
 use super::disturbances::{DisturbanceArguments, FaultArguments};
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, keep_stdout_for, show};
-use super::{Failure, duration, not_negative, not_over, positive, unsupported, unusable};
+use super::{Failure, bail, duration, not_negative, not_over, positive, unsupported};
 use clap::Args;
 use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
@@ -92,13 +92,10 @@ impl Verdict {
 
     /// Errors: a run in trouble, unless it was to keep going.
     pub(super) fn judge(&self, troubles: &[String]) -> Result<(), Failure> {
-        match troubles {
-            [_, ..] if !self.keep_going => {
-                let all = troubles.join("; ");
-                Err(unusable(format!("{all} (--keep-going accepts it)")))
-            }
-            _ => Ok(()),
+        if !troubles.is_empty() && !self.keep_going {
+            bail!("{} (--keep-going accepts it)", troubles.join("; "));
         }
+        Ok(())
     }
 }
 
@@ -115,8 +112,7 @@ pub(super) struct Scene<const N: usize> {
 impl MotionArguments {
     /// Files that are read.
     pub(super) fn files(&self) -> impl Iterator<Item = PathBuf> {
-        let trajectory = PathBuf::from(&self.trajectory);
-        [trajectory]
+        [PathBuf::from(&self.trajectory)]
             .into_iter()
             .chain(self.disturbances.effects.clone())
     }
@@ -145,7 +141,7 @@ impl MotionArguments {
         };
         let ticks = (duration_s / PERIOD_S).round() as usize;
         if ticks == 0 {
-            return Err(unusable("the motion is shorter than a period of 1 ms"));
+            bail!("the motion is shorter than a period of 1 ms");
         }
         Ok(Scene {
             robot: robot.clone(),

@@ -58,8 +58,7 @@ pub(super) fn clean_up_when_interrupted() -> io::Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
     std::thread::spawn(move || {
         for signal in signals.forever() {
-            let ends_itself = ENDS_ITSELF.load(Ordering::Relaxed);
-            if ends_itself && !INTERRUPTED.swap(true, Ordering::Relaxed) {
+            if ENDS_ITSELF.load(Ordering::Relaxed) && !INTERRUPTED.swap(true, Ordering::Relaxed) {
                 continue;
             }
             foretorque_workbench::files::remove_unfinished(|| {
@@ -93,8 +92,7 @@ impl Drop for SignalGuard {
 /// The command that is running, to be typed again from the workspace's root.
 pub(super) fn command_line() -> String {
     let start = "cargo run --release -p host-sim --".to_owned();
-    let words = std::env::args_os().skip(1);
-    words.fold(start, |line, word| {
+    std::env::args_os().skip(1).fold(start, |line, word| {
         line + " " + &quoted(&word.to_string_lossy())
     })
 }

@@ -2,18 +2,18 @@ use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::simulate::PERIOD_S;
 use super::terminal::Bar;
-use super::{Failure, bank, not_over, unsupported, unusable};
+use super::{Failure, bail, bank, not_over, unsupported};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque_workbench::closed_loop::motion_f32;
-use foretorque_workbench::dynamics::RigidBodies;
+use foretorque_workbench::dynamics::{RigidBodies, State};
 use foretorque_workbench::joints;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{
     StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns,
 };
 use foretorque_workbench::trajectory::Trajectory;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Feed-forward torque of every row of a table of states, computed by the firmware
 #[derive(Debug, Args)]
@@ -85,10 +85,34 @@ impl Arguments {
         Ok((true, Box::new(states)))
     }
 
-    /// Completes the table of torques.
+    /// Writes `shares` of the torque of every joint in every state, beside the times if there are any.
     ///
-    /// Errors: no rows; the file system's.
-    fn finish(&self, table: TableWriter, rows: usize) -> Result<(), Failure> {
+    /// * `torques` shares in a motion, joint by joint; `None` where one is not finite
+    ///
+    /// Errors: those of `torques`; a torque that is not finite; no rows; the file system's.
+    fn write<const N: usize, T: ToString>(
+        &self,
+        (timed, states): (bool, States<N>),
+        shares: &[&str],
+        mut torques: impl FnMut(&State<N>) -> Result<Option<Vec<T>>, Failure>,
+    ) -> Result<(), Failure> {
+        let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
+        let columns = shares.iter();
+        header.extend(columns.flat_map(|share| joint_columns(share, "nm", N)));
+        let mut table = TableWriter::create(&self.out, &header)?;
+        let (bar, mut rows) = (Bar::new(), 0);
+        for state in states {
+            let state = state?;
+            rows += 1;
+            let Some(torques) = torques(&state.motion)? else {
+                bail!("state {rows}: its torque is not a number: are these rad, rad/s and rad/s²?");
+            };
+            let time = state.t_s.iter().map(f64::to_string);
+            table.row(time.chain(torques.iter().map(T::to_string)))?;
+            if rows % 256 == 0 {
+                bar.show("torque", rows, rows);
+            }
+        }
         if let (0, Some(path)) = (rows, &self.input) {
             return Err(TableError::empty(path).into());
         }
@@ -96,54 +120,22 @@ impl Arguments {
     }
 }
 
-/// Starts a table of `shares` of the torque of every joint, beside the times if there are any.
-fn create(out: &Path, timed: bool, shares: &[&str], joints: usize) -> Result<TableWriter, Failure> {
-    let mut header: Vec<String> = timed.then(|| "t_s".to_owned()).into_iter().collect();
-    let columns = shares.iter();
-    header.extend(columns.flat_map(|share| joint_columns(share, "nm", joints)));
-    Ok(TableWriter::create(out, &header)?)
-}
-
-fn row<T: ToString>(t_s: Option<f64>, torques: impl Iterator<Item = T>) -> Vec<String> {
-    let time = t_s.iter().map(f64::to_string);
-    time.chain(torques.map(|torque| torque.to_string()))
-        .collect()
-}
-
 /// Writes the torques of drives that turn several joints, in f64: no board has them.
 fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), Failure> {
     if arguments.bank.is_some() || arguments.board != BoardChoice::Native {
-        let reason = "boards have no coupled joints: leave out --bank and --board";
-        return Err(unusable(reason));
+        bail!("boards have no coupled joints: leave out --bank and --board");
     }
     let model = RigidBodies::new(robot);
-    let (timed, states) = arguments.states::<N>(robot)?;
-    let mut table = create(&arguments.out, timed, &["tau", "rigid", "friction"], N)?;
-    let mut rows = 0;
-    for state in states {
-        let state = state?;
-        let motion = state.motion.into();
-        let rigid = model.inverse_dynamics(&motion);
-        let drives = robot.joints.iter().zip(motion.qd.iter());
+    let (states, shares) = (arguments.states::<N>(robot)?, ["tau", "rigid", "friction"]);
+    arguments.write(states, &shares, |motion| {
+        let rigid = model.inverse_dynamics(&(*motion).into());
+        let drives = robot.joints.iter().zip(&motion.qd);
         let friction = drives.map(|(drive, qd)| drive.friction.sliding(*qd));
         let friction: Vec<f64> = friction.collect();
         let total: Vec<f64> = rigid.iter().zip(&friction).map(|(a, b)| a + b).collect();
-        rows += 1;
-        check_finite(rows, total.iter().all(|tau| tau.is_finite()))?;
-        let shares = total.iter().chain(rigid.iter()).chain(&friction);
-        table.row(row(state.t_s, shares))?;
-    }
-    arguments.finish(table, rows)
-}
-
-/// Errors: row `row` of the states, if its torque is not finite.
-fn check_finite(row: usize, is_finite: bool) -> Result<(), Failure> {
-    if is_finite {
-        return Ok(());
-    }
-    Err(unusable(format!(
-        "state {row}: its torque is not a number: are these rad, rad/s and rad/s²?"
-    )))
+        let finite = total.iter().all(|tau| tau.is_finite());
+        Ok(finite.then(|| [&total[..], &rigid, &friction].concat()))
+    })
 }
 
 fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
@@ -152,7 +144,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Result<(), Failure> {
     let bank = arguments.bank.as_deref();
     let bank = bank.map(|file| bank::read_for(file, robot)).transpose()?;
-    let (timed, states) = arguments.states::<N>(robot)?;
+    let states = arguments.states::<N>(robot)?;
     let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
         if let Some(file) = &arguments.key_file {
@@ -164,24 +156,15 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         Some(_) => &["tau", "rigid", "friction", "network"],
         None => &["tau"],
     };
-    let mut table = create(&arguments.out, timed, shares, N)?;
-    let bar = Bar::new();
-    let mut rows = 0;
-    for state in states {
-        let state = state?;
-        let torque = board.evaluate(&motion_f32(&state.motion))?;
-        let shares = torque.shares;
-        let mut torques = shares.rigid.iter().chain(&torque.total);
-        check_finite(rows + 1, torques.all(|tau| tau.is_finite()))?;
+    arguments.write(states, shares, |motion| {
+        let torque = board.evaluate(&motion_f32(motion))?;
+        let own = torque.shares;
+        let mut torques = own.rigid.iter().chain(&torque.total);
+        let finite = torques.all(|tau| tau.is_finite());
         let shares = match bank {
-            Some(_) => vec![torque.total, shares.rigid, shares.friction, shares.network],
-            None => vec![shares.rigid],
+            Some(_) => vec![torque.total, own.rigid, own.friction, own.network],
+            None => vec![own.rigid],
         };
-        table.row(row(state.t_s, shares.iter().flatten()))?;
-        rows += 1;
-        if rows % 256 == 0 {
-            bar.show("torque", rows, rows);
-        }
-    }
-    arguments.finish(table, rows)
+        Ok(finite.then(|| shares.iter().flatten().copied().collect::<Vec<f32>>()))
+    })
 }
