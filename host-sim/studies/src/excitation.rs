@@ -5,7 +5,7 @@ use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::excitation::{Excitation, SearchConfig, optimise};
 use foretorque_workbench::report::page::{Page, Section};
 use foretorque_workbench::robot::{Placement, Robot, segment_distance};
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the campaign.
@@ -289,12 +289,10 @@ pub fn recount(
 fn placed(robot: &Robot, q: &[f64]) -> Vec<Vec<([Vector3<f64>; 2], f64)>> {
     let mut frame = Placement::identity();
     let links = robot.joints.iter().zip(q).map(|(joint, q)| {
-        frame = frame.then(&joint.placement);
-        frame.rot_parent_child *= Rotation3::from_axis_angle(&Vector3::z_axis(), *q).matrix();
-        let at = |end: Vector3<f64>| frame.origin + frame.rot_parent_child * end;
+        frame = frame.then(&joint.placement).turned(*q);
+        let at = |end| frame.point(&end);
         let capsules = joint.capsules.iter();
-        let placed = capsules.map(|own| (own.ends.map(at), own.radius));
-        placed.collect()
+        capsules.map(|own| (own.ends.map(at), own.radius)).collect()
     });
     links.collect()
 }

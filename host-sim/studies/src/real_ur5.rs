@@ -109,8 +109,7 @@ pub fn run(
                 }
             }
             let rmse = |(square, count): (f64, f64)| (count > 0.0).then(|| (square / count).sqrt());
-            let rmse = squares.into_iter().zip(counts).map(rmse);
-            Ok::<Vec<Option<f64>>, StudyError>(rmse.collect())
+            Ok::<Vec<Option<f64>>, StudyError>(squares.into_iter().zip(counts).map(rmse).collect())
         };
         let wls = rmse(MethodName::Wls, ColumnSet::plain())?;
         let recommended = rmse(MethodName::Consistent, RECOMMENDED.parse()?)?;

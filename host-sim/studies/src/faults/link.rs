@@ -94,9 +94,7 @@ impl Host {
     pub(super) fn close(self, mut campaign: Campaign, back: bool) -> Campaign {
         campaign.wrong_torques += self.rig.wrong_torques;
         campaign.torques = self.rig.torques;
-        // The last fault is one that the board has not come back from.
-        campaign.recovered -= u64::from(!back && campaign.recovered > 0);
-        campaign
+        campaign.ended(back)
     }
 }
 
@@ -169,8 +167,7 @@ pub(super) fn damaged_line(
     on_line(name, transport, ticks, true, |_, frames| {
         let before = line.injected;
         let carried = frames.iter().flat_map(|frame| line.carry(&frame.bytes));
-        let bytes = carried.collect();
-        (bytes, line.injected - before)
+        (carried.collect(), line.injected - before)
     })
 }
 
@@ -292,8 +289,7 @@ mod tests {
         // A sample that the reference never receives moves the slew of the board alone.
         let mut sample = host.sample();
         sample.desired.qdd = JointVector::repeat(5.0);
-        let message = host.message(&sample);
-        let frame = host.rig.unreferenced_frame(&message);
+        let frame = host.rig.unreferenced_frame(&host.message(&sample));
         host.rig.send(&frame.bytes).unwrap();
         host.work().unwrap();
         assert!(host.rig.wrong_torques > 0);

@@ -121,8 +121,7 @@ pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campai
         campaign.injected += 1;
         campaign.recovered += u64::from(reported == Some(crash.reason));
         // Off on the way out; off by the constructor after the restart.
-        let switched = trial.switched();
-        let off = switched.get(before..before + 2) == Some(&[false, false]);
+        let off = trial.switched().get(before..before + 2) == Some(&[false, false]);
         campaign.wrong_torques += u64::from(!off);
     }
     Ok(campaign)

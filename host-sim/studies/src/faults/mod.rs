@@ -92,11 +92,27 @@ impl Campaign {
     /// Counts a round: right torques in it are the recovery from the faults of earlier rounds.
     fn count(&mut self, round: &Round, injected: u64) {
         if round.right_torques > 0 {
-            self.recovered += std::mem::take(&mut self.pending);
+            self.recover();
         }
-        self.injected += injected;
-        self.pending += injected;
+        self.inject(injected);
         self.frames_to_resynchronise = self.frames_to_resynchronise.max(round.resynchronised);
+    }
+
+    /// Counts faults that wait for a right torque.
+    fn inject(&mut self, faults: u64) {
+        self.injected += faults;
+        self.pending += faults;
+    }
+
+    /// Counts a right torque: the board is back from all faults before it.
+    fn recover(&mut self) {
+        self.recovered += std::mem::take(&mut self.pending);
+    }
+
+    /// The counts of a board that is `back` in the end, or not: then it has not come back from the last fault.
+    fn ended(mut self, back: bool) -> Self {
+        self.recovered -= u64::from(!back && self.recovered > 0);
+        self
     }
 }
 
@@ -118,20 +134,9 @@ const COUNTS: [(&str, Count); 10] = [
 
 /// The counts of all campaigns.
 pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
-    let sums = COUNTS.map(|(_, count)| campaigns.iter().map(count).sum::<u64>());
-    let [
-        injected,
-        torques,
-        wrong,
-        lost,
-        recovered,
-        unseen,
-        permission,
-        rearmed,
-        timeouts,
-        mistimed,
-    ] = sums;
-    let (number, not_recovered) = (campaigns.len(), injected - recovered);
+    let sum = |count: Count| campaigns.iter().map(count).sum::<u64>();
+    let (number, injected) = (campaigns.len(), sum(|own| own.injected));
+    let not_recovered = injected - sum(|own| own.recovered);
     let header = COUNTS.map(|(name, _)| name).join(" | ");
     let rows = campaigns.iter().map(|own| {
         let counts = COUNTS.map(|(_, count)| count(own).to_string());
@@ -141,9 +146,16 @@ pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
     });
     format!(
         "cargo xtask faults, seed {seed}\n\n\
-         {number} campaigns, {injected} faults, {torques} torques compared: {wrong} wrong, {lost} sets lost, \
-         {not_recovered} not recovered, {unseen} unseen, {permission} torques without permission, {rearmed} re-arms \
-         unasked, {mistimed} of {timeouts} time-outs more than a period off.\n\n{}",
+         {number} campaigns, {injected} faults, {} torques compared: {} wrong, {} sets lost, {not_recovered} not recovered, \
+         {} unseen, {} torques without permission, {} re-arms unasked, {} of {} time-outs more than a period off.\n\n{}",
+        sum(|own| own.torques),
+        sum(|own| own.wrong_torques),
+        sum(|own| own.lost_sets),
+        sum(|own| own.unnoticed),
+        sum(|own| own.without_permission),
+        sum(|own| own.rearmed),
+        sum(|own| own.mistimed),
+        sum(|own| own.timeouts),
         aligned(&format!("fault | board | {header}"), rows)
     )
 }
@@ -220,15 +232,6 @@ impl Scenario {
         Self { name, work }
     }
 
-    /// Work on a board that is started for it.
-    fn on(
-        board: Board,
-        name: &'static str,
-        work: impl Fn(Box<dyn Transport>) -> Result<Campaign, StudyError> + Send + Sync + 'static,
-    ) -> Self {
-        Self::new(name, move || work(board.connect()?))
-    }
-
     /// Breaks things.
     ///
     /// Errors: a board that cannot be started, or one that is gone for good: that one has not survived.
@@ -274,24 +277,24 @@ fn line(all: &mut Vec<Scenario>, board: Board, lengths: Lengths, seed: u64) {
     };
     for (damage, name) in DAMAGES {
         let ticks = ticks(damage);
-        all.push(Scenario::on(board, name, move |link| {
-            damaged_line(link, (damage, name), ticks, seed)
+        all.push(Scenario::new(name, move || {
+            damaged_line(board.connect()?, (damage, name), ticks, seed)
         }));
     }
     let few = ticks(Damage::Flips);
-    all.push(Scenario::on(board, "strange numbers", move |link| {
-        strange_numbers(link, few, seed)
+    all.push(Scenario::new("strange numbers", move || {
+        strange_numbers(board.connect()?, few, seed)
     }));
-    all.push(Scenario::on(board, "foreign frames", move |link| {
-        foreign_frames(link, few, seed)
+    all.push(Scenario::new("foreign frames", move || {
+        foreign_frames(board.connect()?, few, seed)
     }));
     let times = match board {
         Board::Usart => lengths.times.div_ceil(20),
         _ => lengths.times,
     };
     for (bad, name) in BAD_UPLOADS {
-        all.push(Scenario::on(board, name, move |link| {
-            bad_uploads(link, (bad, name), times, seed)
+        all.push(Scenario::new(name, move || {
+            bad_uploads(board.connect()?, (bad, name), times, seed)
         }));
     }
 }
@@ -313,18 +316,16 @@ fn flash(all: &mut Vec<Scenario>, lengths: Lengths, seed: u64) {
         Ok(campaign)
     }));
     all.push(Scenario::new("life of power cuts", move || {
-        Ok(store::power_cut_life::<SMALL_SECTOR>(lengths.saves, seed))
+        Ok(store::power_cut_life(lengths.saves, seed))
     }));
     all.push(Scenario::new("worn flash", move || {
-        Ok(store::worn::<SMALL_SECTOR>(lengths.saves / 10, 4, seed))
+        Ok(store::worn(lengths.saves / 10, seed))
     }));
     all.push(Scenario::new("protected flash", move || {
-        store::protected::<SMALL_SECTOR>(0..=6, seed)
+        store::protected(seed)
     }));
-    all.push(Scenario::new("bit rot", move || {
-        store::bit_rot::<SMALL_SECTOR>(2, seed)
-    }));
+    all.push(Scenario::new("bit rot", move || store::bit_rot(seed)));
     all.push(Scenario::new("foreign sets", move || {
-        store::foreign_sets::<SMALL_SECTOR>(seed)
+        store::foreign_sets(seed)
     }));
 }

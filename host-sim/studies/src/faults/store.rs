@@ -82,10 +82,10 @@ pub(super) fn power_cuts<const S: usize>(
 
 /// A life of `saves` saves, in every second of which the power goes at a random step in a random way, and often again in
 /// the save that follows.
-pub(super) fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign {
+pub(super) fn power_cut_life(saves: u32, seed: u64) -> Campaign {
     let mut campaign = Campaign::new("power cuts through a long life", "simulated flash");
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut store = Store::new(Flash::<S>::new(seed));
+    let mut store = Store::new(Flash::<SMALL_SECTOR>::new(seed));
     // What may be loaded: the newest set that was acknowledged, and those that were under way since.
     let (mut ever, mut loadable) = (false, Vec::new());
     for number in 1..=saves {
@@ -114,36 +114,34 @@ pub(super) fn power_cut_life<const S: usize>(saves: u32, seed: u64) -> Campaign 
     campaign
 }
 
-/// Saves on flash that wears out bit by bit, `bits` more before each save, until `saves` are tried.
+/// Saves on flash that wears out bit by bit, four more before each save, until `saves` are tried.
 ///
 /// A save that the store acknowledges must be there, one that it refuses must have left the one before.
-pub(super) fn worn<const S: usize>(saves: u32, bits: usize, seed: u64) -> Campaign {
+pub(super) fn worn(saves: u32, seed: u64) -> Campaign {
+    const BITS: usize = 4;
     let mut campaign = Campaign::new("worn flash", "simulated flash");
-    let mut store = Store::new(Flash::<S>::new(seed));
+    let mut store = Store::new(Flash::<SMALL_SECTOR>::new(seed));
     let mut last = None;
     for number in 1..=saves {
-        store.flash_mut().wear(0..2 * S, bits);
+        store.flash_mut().wear(0..2 * SMALL_SECTOR, BITS);
         let new = set(number);
         if store.save(Ur5::HASH, &new).is_ok() {
             last = Some(new);
         }
-        campaign.injected += bits as u64;
+        campaign.injected += BITS as u64;
         let kept = load(&mut store).ok() == last;
         campaign.lost_sets += u64::from(!kept);
-        campaign.recovered += if kept { bits as u64 } else { 0 };
+        campaign.recovered += if kept { BITS as u64 } else { 0 };
     }
     campaign
 }
 
-/// Saves into flash that refuses, one refusal in each way after each history.
-pub(super) fn protected<const S: usize>(
-    histories: impl IntoIterator<Item = u32>,
-    seed: u64,
-) -> Result<Campaign, StudyError> {
+/// Saves into flash that refuses, one refusal in each way after up to six saves.
+pub(super) fn protected(seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("write-protected flash", "simulated flash");
-    for saves in histories {
+    for saves in 0..=6 {
         for protection in [Protection::Silent, Protection::Reported] {
-            let mut store: Store<Flash<S>> = with_history(saves, seed)?;
+            let mut store: Store<Flash<SMALL_SECTOR>> = with_history(saves, seed)?;
             store.flash_mut().protect(protection);
             let refused = store.save(Ur5::HASH, &set(saves + 1)).is_err();
             let found = load(&mut store);
@@ -159,30 +157,31 @@ pub(super) fn protected<const S: usize>(
     Ok(campaign)
 }
 
-/// Turns each bit of the newest record in turn: never may it be loaded, and the set before it must be.
-pub(super) fn bit_rot<const S: usize>(saves: u32, seed: u64) -> Result<Campaign, StudyError> {
+/// Turns each bit of the second of two records in turn: never may it be loaded, and the set before it must be.
+pub(super) fn bit_rot(seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("bit rot in the newest set", "simulated flash");
-    let mut store: Store<Flash<S>> = with_history(saves, seed)?;
-    let start = (saves - 1) % (2 * slots(S as u32)) * SLOT_BYTES;
-    for place in start as usize..start as usize + HEADER_BYTES + set(saves).len() {
+    let mut store: Store<Flash<SMALL_SECTOR>> = with_history(2, seed)?;
+    let start = SLOT_BYTES as usize;
+    for place in start..start + HEADER_BYTES + set(2).len() {
         for bit in 0..8 {
             store.flash_mut().rot(place, bit);
-            let before = load(&mut store) == Ok(set(saves - 1));
+            let before = load(&mut store) == Ok(set(1));
             store.flash_mut().rot(place, bit);
-            campaign.case(before, load(&mut store) == Ok(set(saves)));
+            campaign.case(before, load(&mut store) == Ok(set(2)));
         }
     }
     Ok(campaign)
 }
 
 /// Sets of another robot, before and after own ones: none is loaded, none keeps the own one from being found.
-pub(super) fn foreign_sets<const S: usize>(seed: u64) -> Result<Campaign, StudyError> {
+pub(super) fn foreign_sets(seed: u64) -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("stored sets of another robot", "simulated flash");
-    for own in 0..2 * slots(S as u32) + 2 {
-        for foreign in 1..2 * slots(S as u32) + 2 {
-            let mut store: Store<Flash<S>> = with_history(own, seed)?;
+    let sector = slots(SMALL_SECTOR as u32);
+    for own in 0..2 * sector + 2 {
+        for foreign in 1..2 * sector + 2 {
+            let mut store: Store<Flash<SMALL_SECTOR>> = with_history(own, seed)?;
             // As much of the other robot's sets as one stay of the chip in another board leaves beside the own ones.
-            for number in 0..foreign.min(slots(S as u32)) {
+            for number in 0..foreign.min(sector) {
                 store.save(!Ur5::HASH, &set(1000 + number))?;
             }
             let kept = match load(&mut store) {

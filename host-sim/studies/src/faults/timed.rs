@@ -49,7 +49,6 @@ struct Timeline {
     /// Samples of the host's periods, and those that have been sent on.
     periods: u32,
     sent: u32,
-    pending: u64,
     campaign: Campaign,
 }
 
@@ -60,7 +59,7 @@ impl Timeline {
         let board = Native::described(description, NoLocalSensor)?;
         let limits = SafetyLimits::for_arm::<Ur5, PARAMETERS>(1000);
         let promises = Promises::new(limits, board.session().feed_forward().config());
-        let board_name = match pacing {
+        let place = match pacing {
             Pacing::Link => "native, link",
             Pacing::SysTick => "native, timer",
         };
@@ -72,8 +71,7 @@ impl Timeline {
             arming: None,
             periods: 0,
             sent: 0,
-            pending: 0,
-            campaign: Campaign::new(name, board_name),
+            campaign: Campaign::new(name, place),
         };
         let configuration = Configuration {
             pacing,
@@ -163,7 +161,7 @@ impl Timeline {
             Err(_) => campaign.wrong_torques += 1,
         }
         if used {
-            campaign.recovered += std::mem::take(&mut self.pending);
+            campaign.recover();
         }
     }
 
@@ -183,8 +181,7 @@ impl Timeline {
             self.work();
         }
         let back = self.state() == SafetyState::Armed;
-        self.campaign.recovered -= u64::from(!back && self.campaign.recovered > 0);
-        self.campaign
+        self.campaign.ended(back)
     }
 }
 
@@ -206,8 +203,7 @@ pub(super) fn timed(
         if timing == Timing::Silence && silent == 0 && random.random_ratio(1, 200) {
             silent = random.random_range(1..150);
         }
-        let waiting = timeline.periods - timeline.sent;
-        let mut count = timing.arriving(waiting, random.random());
+        let mut count = timing.arriving(timeline.periods - timeline.sent, random.random());
         if silent > 0 {
             silent -= 1;
             timeline.sent = timeline.periods;
@@ -226,11 +222,9 @@ pub(super) fn timed(
             Some(line) => line.injected - before,
             None => u64::from(count != 1),
         };
-        timeline.campaign.injected += faults;
-        timeline.pending += faults;
+        timeline.campaign.inject(faults);
         timeline.timer();
-        let status = timeline.board.session().safety();
-        let ended = status.reason == SafetyReason::CommandTimeout;
+        let ended = timeline.board.session().safety().reason == SafetyReason::CommandTimeout;
         timeline.campaign.timeouts += u64::from(ended && !timed_out);
         timed_out = ended;
     }

@@ -297,8 +297,7 @@ impl Scenario {
                 Event::None => break,
                 Event::Payloads(share) => {
                     let to_s = from_s + 0.5 * CYCLE_S;
-                    let com = [0.02, -0.01, 0.05];
-                    let payload = Payload::cube(share * rated, com, from_s, to_s);
+                    let payload = Payload::cube(share * rated, [0.02, -0.01, 0.05], from_s, to_s);
                     events.payloads.push(payload);
                 }
                 Event::Pushes => events.pushes.push(push(robot, from_s, &mut random)),

@@ -136,8 +136,7 @@ fn of_arm(
     // Arms of the world have five joints or more: each size costs compile time.
     arms!(robot, N, P in (5, 36) (6, 40) (6, 44) (7, 48) (7, 52) (8, 60) => {
         Described::<N, P>::read(robot).ok_or_else(|| unsupported(N))?;
-        let bench = Bench::<N>::new(arm, seed)?;
-        bench.scenarios::<Described<N, P>, P>(config, scenario, done)
+        Bench::<N>::new(arm, seed)?.scenarios::<Described<N, P>, P>(config, scenario, done)
     }, else {
         let (name, joints) = (&robot.name, robot.joint_count());
         Err(format!("{name}: {joints} joints; the learning scenarios take arms of 5 to 8").into())
@@ -243,8 +242,7 @@ fn matrix(report: &LearningReport) -> (String, Vec<Vec<String>>) {
             let sign = if side == "at most" { 1.0 } else { -1.0 };
             let worst = own.iter().map(|outcome| sign * outcome.measured);
             let worst = sign * worst.fold(f64::NEG_INFINITY, f64::max);
-            let missed = own.iter().any(|outcome| !outcome.met);
-            match (own.is_empty(), missed) {
+            match (own.is_empty(), own.iter().any(|outcome| !outcome.met)) {
                 (true, _) => String::new(),
                 (_, false) => format!("{}, worst {}", reached(&own), number(worst)),
                 (_, true) => format!("MISSED {}, worst {}", reached(&own), number(worst)),

@@ -246,8 +246,7 @@ impl<const N: usize> Rows<N> {
     ) -> ParameterBank {
         let config = LearnerConfig::<N, P>::for_arm::<A>(PERIOD_S as f32);
         let (origin, sigma) = (LinearParameters::of(start), config.sigma);
-        let scale = sigma.iter().map(|s| DOUBT * f64::from(*s));
-        let scale = DVector::from_vec(scale.collect());
+        let scale = DVector::from_vec(sigma.iter().map(|s| DOUBT * f64::from(*s)).collect());
         let rows = |joint: usize| {
             let moving = move |seen: &&ConditionedSample<N>| {
                 seen.motion.qd[joint].abs() >= config.velocity_gate

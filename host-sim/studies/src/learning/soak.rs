@@ -161,8 +161,7 @@ impl<'w> Source<'w> {
         let t_s = (self.tick as f64 * PERIOD_S) % ROUND_S;
         self.tick += 1;
         let wanted = self.path.at(t_s);
-        let held = t_s % PAYLOAD_EVERY_S > PAYLOAD_EVERY_S - 10.0;
-        self.arm = usize::from(held);
+        self.arm = usize::from(t_s % PAYLOAD_EVERY_S > PAYLOAD_EVERY_S - 10.0);
         let torque = self.arms[self.arm].true_torque(&wanted);
         let count = TAU / 131_072.0;
         let joints = &self.setup.described.joints;

@@ -161,8 +161,7 @@ impl Bench {
             viscous_drift: 0.0,
             ..PlantConfig::default()
         };
-        let truth = arm(&self.robot, cell);
-        let plant = Plant::<JOINTS>::new(&truth, quiet, cell.seed);
+        let plant = Plant::<JOINTS>::new(&arm(&self.robot, cell), quiet, cell.seed);
         let plant = plant.ok_or_else(|| unsupported(JOINTS))?;
         let torques = |states: &[State<JOINTS>]| -> Vec<Joints<JOINTS>> {
             let torques = states.iter().map(|state| plant.true_torque(state));

@@ -3,6 +3,7 @@
 use super::cell::FrictionKind;
 use super::steps::{Steps, Trained};
 use super::{Condition, Times, by_rows, on_all_rows};
+use crate::real_ur5::geometric_mean;
 use std::collections::BTreeMap;
 
 /// A method that is this near to another, on the geometric mean, does as well.
@@ -163,11 +164,9 @@ fn ratios(conditions: &[&Condition], of: &str) -> Option<(f64, f64, f64)> {
     if ratios.is_empty() {
         return None;
     }
-    let logs: f64 = ratios.iter().map(|ratio| ratio.ln()).sum();
-    let mean = (logs / ratios.len() as f64).exp();
+    let mean = geometric_mean(&ratios);
     let least = ratios.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = ratios.iter().copied().fold(0.0, f64::max);
-    Some((mean, least, most))
+    Some((mean, least, ratios.iter().copied().fold(0.0, f64::max)))
 }
 
 fn verdict(ratio: f64) -> &'static str {

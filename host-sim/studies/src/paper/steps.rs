@@ -201,8 +201,7 @@ impl<'m> Known<'m> {
         let qr = self.rows.y.clone().qr();
         let moment = qr.q().tr_mul(&self.rows.tau);
         qr.r().solve_upper_triangular(&moment).ok_or_else(|| {
-            let reason = "the excitation does not show all base parameters";
-            StudyError::from(reason.to_owned())
+            StudyError::from("the excitation does not show all base parameters".to_owned())
         })
     }
 

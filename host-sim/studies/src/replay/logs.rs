@@ -166,10 +166,8 @@ fn references(
         let logs = (&training[..], &paths[number].files[..1]);
         batch(robot, logs, text, prepare, seed)
     };
-    let deficient = |error: &StudyError| {
-        let error = error.downcast_ref();
-        matches!(error, Some(IdentifyError::RankDeficient(..)))
-    };
+    let deficient =
+        |error: &StudyError| matches!(error.downcast_ref(), Some(IdentifyError::RankDeficient(..)));
     // None if the logs do not show the parameters.
     let fits = |text: &str| -> Result<Option<Vec<Vec<f64>>>, StudyError> {
         match (0..paths.len()).map(|number| fit(text, number)).collect() {

@@ -125,8 +125,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
                 for _ in 0..20 {
                     torque = self.tick(Some(&sample));
                 }
-                let limit = A::limits()[joint].torque;
-                largest = largest.max(f64::from(torque[joint].abs() / limit));
+                largest = largest.max(f64::from(torque[joint].abs() / A::limits()[joint].torque));
             }
         }
         largest
@@ -309,8 +308,7 @@ fn within_1_1<A: Arm<N, P>, const N: usize, const P: usize>(
             return Ok(None);
         };
         let newest = play(&mut board, &mut VecDeque::new(), first).newest;
-        let window = WINDOW_S / start.period_s;
-        let rows = logs::motion_until_close(first, &newest, window, CLOSE);
+        let rows = logs::motion_until_close(first, &newest, WINDOW_S / start.period_s, CLOSE);
         Ok(rows.map(|rows| rows as f64 * start.period_s))
     };
     (0..paths).map(time).collect()

@@ -146,8 +146,7 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         let rows = joint_rows(&report.paths, |path| &path.path, pick);
         Section::new(heading, "Error over the reference's.").table(header.clone(), rows)
     };
-    let within = report.paths.iter();
-    let within = within.map(|path| {
+    let within = report.paths.iter().map(|path| {
         let window = ratio(path.worst_window_over_start_ratio);
         let place = path
             .worst_window
