@@ -137,8 +137,7 @@ impl WholeFile {
             }
         };
         if let Some(before) = before.filter(fs::Metadata::is_file) {
-            let mode = before.permissions();
-            fs::set_permissions(&part, mode).map_err(|error| at(target, error))?;
+            fs::set_permissions(&part, before.permissions()).map_err(|error| at(target, error))?;
         }
         unfinished.push(part.clone());
         Ok(Self {

@@ -282,8 +282,6 @@ mod tests {
     #[test]
     fn a_module_of_which_little_is_used_compiles_without_warnings() {
         let robot = Robot::load("ur5").expect("built in");
-        let compiled = include_str!("../../../firmware/foretorque/src/arm/ur5.rs");
-        assert_eq!(arm_module(&robot), compiled);
         assert_eq!(used_in_part::JOINTS, robot.joint_count());
     }
 

@@ -29,8 +29,7 @@ impl Link {
     /// a margin.
     pub fn repaired(&self) -> (Self, f64) {
         let repaired = self.with_least_moments(|moments| (1e-3 * moments.max()).max(1e-9));
-        let change = (repaired.inertia_com - self.inertia_com).amax();
-        (repaired, change)
+        (repaired, (repaired.inertia_com - self.inertia_com).amax())
     }
 
     /// The link with its principal second moments of mass raised to `least` of them, kg·m².
@@ -273,8 +272,7 @@ impl Coupling {
         let unit = |other| f64::from(u8::from(other == joint));
         let mut others = 0..self.drives.nrows();
         others.any(|other| {
-            let places = [(joint, other), (other, joint)];
-            places
+            [(joint, other), (other, joint)]
                 .iter()
                 .any(|&place| self.drives[place] != unit(other))
         })

@@ -287,8 +287,7 @@ mod tests {
             units.scale(None),
             [1.0, -degree, -degree, -degree, -1.0, 1.0]
         );
-        let current = Some(EffortKind::Current);
-        assert_eq!(units.scale(current)[4], 1.0);
+        assert_eq!(units.scale(Some(EffortKind::Current))[4], 1.0);
         let below: Units = "tau=mNm,qd=rpm,t=ms".parse().expect("known");
         let both = units.over(Some(below));
         assert_eq!(both.scale(None)[..2], [1e-3, -degree]);

@@ -315,8 +315,7 @@ impl Robot {
     /// assert_eq!(ur5.joints.len(), 6);
     /// ```
     pub fn load(name_or_path: &str) -> Result<Self, Refusal> {
-        let import = Self::load_selected(name_or_path, &Selection::default())?;
-        Ok(import.robot)
+        Ok(Self::load_selected(name_or_path, &Selection::default())?.robot)
     }
 
     /// [`load`](Self::load) with the selection of a URDF's arm, and the notes of its reading.

@@ -18,11 +18,9 @@ fn stretched_ur5_reaches_as_its_data_sheet_states() {
 #[test]
 fn centres_of_mass_move_from_dh_frames_to_joint_frames() {
     let robot = Robot::load("ur5").unwrap();
-    let upper_arm = robot.joints[1].link.com;
-    assert!((upper_arm - Vector3::new(0.2125 - 0.425, 0.0, 0.11336)).norm() < 1e-15);
+    assert!((robot.joints[1].link.com - Vector3::new(0.2125 - 0.425, 0.0, 0.11336)).norm() < 1e-15);
     // alpha_1 = 90°: y of the DH frame is z of the joint frame, z is −y.
-    let shoulder = robot.joints[0].link.com;
-    assert!((shoulder - Vector3::new(0.0, -0.00193, -0.02561)).norm() < 1e-15);
+    assert!((robot.joints[0].link.com - Vector3::new(0.0, -0.00193, -0.02561)).norm() < 1e-15);
 }
 
 #[test]

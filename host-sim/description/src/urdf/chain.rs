@@ -108,17 +108,15 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
             "no acceleration limit at joints '{names}': {ACCELERATION} rad/s² is taken"
         ));
     }
-    let written = moved
-        .iter()
-        .map(|&joint| document.links[tree.child[joint]].inertial);
-    placeholders(
-        &joints,
-        &link_frame,
-        &written.collect::<Vec<_>>(),
-        &mut notes,
-    );
+    let inertial = |&joint: &usize| document.links[tree.child[joint]].inertial;
+    let written: Vec<Option<Link>> = moved.iter().map(inertial).collect();
+    placeholders(&joints, &link_frame, &written, &mut notes);
     assume_torques(&mut joints, &mut notes);
-    note_drives(&joints, &mut notes);
+    let bare = joints.iter().all(|joint| joint.drive.rotor_inertia == 0.0);
+    let rotors = if bare { "rotor inertias 0, " } else { "" };
+    notes.push(format!(
+        "drives are not described: {rotors}gains not known, {ENCODER_BITS}-bit encoders"
+    ));
     lower_speeds(&mut joints, &mut notes);
     let root = tree.root_in(base);
     let gravity = root.rot_parent_child * document.gravity;
@@ -299,17 +297,11 @@ fn placeholders(
     let balls: Vec<Option<Matrix3<f64>>> = written.iter().map(ball).collect();
     let is_shared = |ball: &Option<Matrix3<f64>>| {
         let Some(ball) = ball else { return false };
-        balls
-            .iter()
-            .flatten()
-            .filter(|other| near(ball, other))
-            .count()
-            > 1
+        let others = balls.iter().flatten();
+        others.filter(|other| near(ball, other)).count() > 1
     };
-    let shared = joints
-        .iter()
-        .zip(&balls)
-        .filter(|(_, ball)| is_shared(ball));
+    let pairs = joints.iter().zip(&balls);
+    let shared = pairs.filter(|(_, ball)| is_shared(ball));
     let shared: Vec<&str> = shared.map(|(joint, _)| link_name(joint)).collect();
     if !shared.is_empty() {
         notes.push(format!(
@@ -349,15 +341,6 @@ fn assume_torques(joints: &mut [Joint], notes: &mut Vec<String>) {
             joint.name
         ));
     }
-}
-
-/// Notes what is not known of the drives.
-fn note_drives(joints: &[Joint], notes: &mut Vec<String>) {
-    let bare = joints.iter().all(|joint| joint.drive.rotor_inertia == 0.0);
-    let rotors = if bare { "rotor inertias 0, " } else { "" };
-    notes.push(format!(
-        "drives are not described: {rotors}gains not known, {ENCODER_BITS}-bit encoders"
-    ));
 }
 
 /// Lowers velocity limits that a joint does not reach, because friction leaves no torque there.

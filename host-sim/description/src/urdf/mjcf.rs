@@ -304,8 +304,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let most = ranges.map(|(low, high)| gear * high.min(-low));
         let most = most.filter(|most| *most > 0.0).reduce(f64::min);
         let mut joints = self.document.joints.iter_mut();
-        let driven = joints.find(|joint| joint.name == name);
-        if let (Some(joint), Some(most)) = (driven, most) {
+        if let (Some(joint), Some(most)) = (joints.find(|joint| joint.name == name), most) {
             joint.limit.effort = Some(joint.limit.effort.map_or(most, |known| known.min(most)));
         }
         Ok(())
@@ -408,8 +407,7 @@ mod tests {
             );
             whole(&arm).joints[1].placement.rot_parent_child.m33
         };
-        let rounded = cosine_of_axes("0.685124 0.685126 0.174941 -0.174941");
-        assert_eq!(rounded, 0.0);
+        assert_eq!(cosine_of_axes("0.685124 0.685126 0.174941 -0.174941"), 0.0);
         let other = cosine_of_axes("0.685124 0.6853 0.174941 -0.174941");
         assert!(other.abs() > 1e-5, "{other}");
     }

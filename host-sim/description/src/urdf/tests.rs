@@ -73,8 +73,7 @@ fn gravity_torques(robot: &Robot) -> Joints<2> {
 
 #[test]
 fn bolted_links_become_part_of_the_link_that_moves_them() {
-    let import = parse("t", ARM, &TO_HAND).unwrap();
-    let robot = &import.robot;
+    let robot = &parse("t", ARM, &TO_HAND).unwrap().robot;
     assert_eq!(robot.name, "two_link");
     let upper = &robot.joints[0].link;
     assert_eq!(upper.mass, 3.0);
@@ -228,8 +227,7 @@ fn assumptions_are_listed_in_the_notes() {
     ] {
         assert!(import.has(note), "{:?}", import.notes);
     }
-    let flange = import.robot.flange;
-    assert_eq!(flange.origin, Vector3::new(0.3, 0.0, 0.0));
+    assert_eq!(import.robot.flange.origin, Vector3::new(0.3, 0.0, 0.0));
 }
 
 #[test]
@@ -494,15 +492,13 @@ fn too_many_joints_are_cut_at_either_end_and_a_lift_below_them_first() {
 fn an_assumed_torque_limit_moves_friction_and_rotor() {
     let limit = |text: &str| {
         let text = text.replacen(" actuatorfrcrange=\"-40 50\"", "", 1);
-        let text = text.replacen("forcerange=\"-35 35\"", "", 1);
-        let import = imported(&text);
+        let import = imported(&text.replacen("forcerange=\"-35 35\"", "", 1));
         import.robot.joints[0].limits.torque
     };
     // 9.81 (2·0.2 + 1·(0.4 + 0.1)) N·m, damping 1 at 2 rad/s, rotor 0.1 at 10 rad/s²; then 4 N·m of friction.
     let bare = limit(MJCF);
     for more in ["frictionloss=\"4\"", "armature=\"0.5\""] {
-        let text = format!("name=\"shoulder\" {more}");
-        let changed = MJCF.replacen("name=\"shoulder\"", &text, 1);
+        let changed = MJCF.replacen("name=\"shoulder\"", &format!("name=\"shoulder\" {more}"), 1);
         assert_eq!(limit(&changed) - bare, 6.0, "{more}");
     }
 }

@@ -187,8 +187,7 @@ impl<'a> Tree<'a> {
     fn is_finger(&self, joint: usize, at_fork: bool) -> bool {
         let element = &self.document.joints[joint];
         let names = [&element.name, &element.child].map(|name| name.to_lowercase());
-        let words = ["grip", "jaw", "finger", "claw", "knuckle", "thumb"];
-        let is_called = words
+        let is_called = ["grip", "jaw", "finger", "claw", "knuckle", "thumb"]
             .iter()
             .any(|word| names.iter().any(|name| name.contains(word)));
         let body = self.rigid_body(self.child[joint], Placement::identity());
@@ -370,8 +369,7 @@ impl<'a> Tree<'a> {
     /// Moving joints beside the path, and the mass that the arm loses with each, kg: none with those on its base.
     fn beside(&self, base: usize, path: &[usize]) -> Vec<(usize, f64)> {
         let moved = path.iter().filter(|&&joint| !self.is_fixed(joint));
-        let moved = moved.map(|&joint| self.child[joint]);
-        let links = std::iter::once(base).chain(moved);
+        let links = std::iter::once(base).chain(moved.map(|&joint| self.child[joint]));
         let beside = links.flat_map(|link| {
             let body = self.rigid_body(link, Placement::identity());
             let beside = self.moving_joints(&body).filter(|j| !path.contains(j));

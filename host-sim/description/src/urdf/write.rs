@@ -304,8 +304,7 @@ mod tests {
         }
         // An armature is where a URDF has no place for it.
         bare.joints[0].drive.rotor_inertia = 0.5;
-        let again = whole(&mjcf(&bare));
-        assert_eq!(again.joints[0].drive.rotor_inertia, 0.5);
+        assert_eq!(whole(&mjcf(&bare)).joints[0].drive.rotor_inertia, 0.5);
         assert!(sdf(&bare).contains("<drake:rotor_inertia>0.5</drake:rotor_inertia>"));
     }
 

@@ -164,8 +164,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 ("zaxis", &[x, y, z]) => {
                     let axis = unit(Vector3::new(x, y, z))?.into_inner();
                     let least = Rotation3::rotation_between(&Vector3::z(), &axis);
-                    let half_turn = || Rotation3::from_axis_angle(&Vector3::x_axis(), PI);
-                    least.unwrap_or_else(half_turn)
+                    least.unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), PI))
                 }
                 ("euler", angles @ &[_, _, _]) => self.turned(angles),
                 _ => return Err(bad(name)),
