@@ -64,8 +64,7 @@ fn a_motion_beyond_the_range_of_a_sample_is_refused_and_nothing_is_sent() {
 
 /// Everything that a session answers, compiled and read: torques, flags, and the bank after learning.
 fn the_same_session<A: Arm<N, P>, const N: usize, const P: usize>(name: &str) {
-    let robot = Robot::load(name).unwrap();
-    let read: &ArmModel<N, P> = Described::read(&robot).unwrap();
+    let read: &ArmModel<N, P> = Described::read(&Robot::load(name).unwrap()).unwrap();
     let compiled = A::COMPILED.unwrap();
     assert_eq!((read, read.hash()), (&compiled, A::HASH));
     for t in 0..20 {

@@ -104,8 +104,7 @@ fn power_is_balanced<A: Arm<N, P>, const N: usize, const P: usize>() {
         let (q, qd, qdd) = (q.map(f64::from), qd.map(f64::from), qdd.map(f64::from));
         let energy = |t: f64| model.energy(&(q + qd * t + qdd * (0.5 * t * t)), &(qd + qdd * t));
         let change = (energy(STEP) - energy(-STEP)) / (2.0 * STEP);
-        let allowed = tolerance::<A, N, P>(1.0).dot(&qd.abs());
-        let balanced = (power - change).abs() <= allowed;
+        let balanced = (power - change).abs() <= tolerance::<A, N, P>(1.0).dot(&qd.abs());
         assert!(balanced, "{}: {power} W, {change} W", A::NAME);
     }
 }

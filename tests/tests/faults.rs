@@ -89,8 +89,7 @@ fn absence_is_told_apart() {
     assert_eq!(loaded(&mut store), Err(StoreError::WrongArm { found: 7 }));
     store.flash_mut().rot(40, 3);
     assert_eq!(loaded(&mut store), Err(StoreError::Damaged));
-    let long = vec![0; 5000];
-    assert_eq!(store.save(7, &long), Err(StoreError::TooLong));
+    assert_eq!(store.save(7, &vec![0; 5000]), Err(StoreError::TooLong));
 }
 
 #[test]
@@ -117,8 +116,7 @@ fn booted(name: &str, flash: Option<&Flash>) -> ParameterBank {
         file
     });
     let board = Emulator::start(&options).unwrap_or_else(|error| panic!("{error}"));
-    let timeout = Duration::from_secs(5);
-    let client = Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), timeout);
+    let client = Client::<6>::connect::<Ur5, PARAMETERS>(Box::new(board), Duration::from_secs(5));
     let mut client = client.unwrap_or_else(|error| panic!("{error}"));
     client.read_bank().unwrap_or_else(|error| panic!("{error}"))
 }

@@ -145,8 +145,7 @@ fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
     let name = A::NAME;
     let table = Table::pinocchio(name);
     let expected = Table::pinocchio(&format!("{name}_regressor"));
-    let flags = A::COLUMNS.iter().flat_map(|columns| columns.inertial);
-    let columns = (0..).zip(flags);
+    let columns = (0..).zip(A::COLUMNS.iter().flat_map(|columns| columns.inertial));
     let independent = columns.filter_map(|(k, is_base)| is_base.then_some(k));
     let independent: Vec<usize> = independent.collect();
     let mut worst = 0.0_f64;
@@ -160,14 +159,12 @@ fn board_rows_agree<A: Arm<N, P>, const N: usize, const P: usize>() {
                 .iter()
                 .fold(1.0, |max: f64, entry| max.max(entry.abs()));
             for (value, entry) in row.iter().zip(&entries) {
-                let error = (f64::from(*value) - entry).abs() / scale;
-                worst = worse(worst, error);
+                worst = worse(worst, (f64::from(*value) - entry).abs() / scale);
             }
             let rotors = (0..N).filter(|&rotor| A::COLUMNS[rotor].rotor);
             for (value, rotor) in row.iter().skip(independent.len()).zip(rotors) {
                 let felt = rotor == joint;
-                let entry = if felt { motion.qdd[joint] } else { 0.0 };
-                assert_eq!(*value, entry, "{name}");
+                assert_eq!(*value, if felt { motion.qdd[joint] } else { 0.0 }, "{name}");
             }
         }
     }

@@ -67,8 +67,7 @@ fn every_file_of_the_tree_that_a_page_names_is_there() {
             let tree = ["firmware/", "host-sim/", "tests/", "xtask/", "docs/"];
             let plain = !name.contains(|c: char| " *{<…".contains(c));
             if plain && name.contains('.') && tree.iter().any(|top| name.starts_with(top)) {
-                let there = root().join(name).exists();
-                assert!(there, "{}: {name}", path.display());
+                assert!(root().join(name).exists(), "{}: {name}", path.display());
                 seen += 1;
             }
         }

@@ -92,8 +92,7 @@ fn six_seconds_of_learning_halve_the_torque_error_and_runs_repeat() {
 
 #[test]
 fn the_bank_of_the_description_holds_the_nominal_parameters_of_the_firmware() {
-    let robot = Robot::load("ur5").expect("built in");
-    let bank = bank_of::<Ur5, JOINTS, PARAMETERS>(&robot);
+    let bank = bank_of::<Ur5, JOINTS, PARAMETERS>(&Robot::load("ur5").expect("built in"));
     let set = bank
         .set::<Ur5, JOINTS, PARAMETERS>()
         .expect("a bank for this arm");

@@ -180,8 +180,7 @@ impl Crate {
 
 impl Module {
     fn declares(&self, item: &str) -> bool {
-        let kinds = ["struct", "enum", "fn", "const", "static", "type", "trait"];
-        kinds
+        ["struct", "enum", "fn", "const", "static", "type", "trait"]
             .iter()
             .any(|kind| self.text.contains(&format!("{kind} {item}")))
     }

@@ -54,8 +54,7 @@ pub(crate) fn run(
     image_only: bool,
 ) -> Result<()> {
     let binary = binary.unwrap_or(BOARDS[0].1);
-    let tools = setup::run(forced)?;
-    let mut firmware = tools.board.board_cargo("build");
+    let mut firmware = setup::run(forced)?.board.board_cargo("build");
     shell::run(firmware.args(["--bin", binary]))?;
     let elf = shell::elf(binary);
     let bytes = shell::read(&elf)?;
@@ -81,8 +80,7 @@ pub(crate) fn run(
 
 /// Whether the ELF is byte for byte the one that the last demo emulated.
 fn compared(bytes: &[u8]) -> String {
-    let copy = shell::root().join(ELF_COPY);
-    match fs::read(copy) {
+    match fs::read(shell::root().join(ELF_COPY)) {
         Ok(emulated) if emulated == bytes => {
             format!("the same bytes as {}, which it emulated", ELF_COPY)
         }
@@ -147,8 +145,7 @@ fn program(file: &ElfBytes<'_, LittleEndian>) -> Result<Vec<u8>> {
     for header in file.segments().context("the firmware is not linked")? {
         if header.p_type == PT_LOAD && header.p_filesz > 0 {
             // The address in the file of start values of variables is in flash; they are copied to RAM at boot.
-            let address = u32::try_from(header.p_paddr)?;
-            segments.push((address, file.segment_data(&header)?));
+            segments.push((u32::try_from(header.p_paddr)?, file.segment_data(&header)?));
         }
     }
     segments.sort_by_key(|(address, _)| *address);
@@ -246,8 +243,7 @@ mod tests {
     #[test]
     fn the_flat_image_is_erased_between_segments() {
         let segments: [(u32, &[u8]); 2] = [(0x0800_0000, &[7; 100]), (0x0800_0065, &[1, 2])];
-        let image = flat(&segments).unwrap();
-        assert_eq!(image[99..], [7, ERASED, 1, 2]);
+        assert_eq!(flat(&segments).unwrap()[99..], [7, ERASED, 1, 2]);
         assert!(flat(&segments[1..]).is_err() && flat(&[segments[1], segments[0]]).is_err());
         assert!(flat(&[segments[0], segments[0]]).is_err());
     }

@@ -21,33 +21,15 @@ const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-l
 /// Corpora, logs and crashes, from the workspace's root.
 const HOME: &str = "target/foretorque/fuzz";
 
-/// A fuzzed part of the firmware.
-#[derive(Clone, Copy)]
-struct Target {
-    name: &'static str,
-    /// Longest input: a frame or two, the largest bank, an upload, a store with a bank in it.
-    max_len: u32,
-    /// Part of all executions, percent.
-    share: u64,
-}
+/// A fuzzed part of the firmware: its name, the longest input (a frame or two, the largest bank, an upload, a store with a bank
+/// in it), and its part of all executions, percent.
+type Target = (&'static str, u32, u64);
 
 /// Two at a time, for two cores.
 const LANES: [&[Target]; 2] = [
-    &[target("decoder", 128, 45), target("session", 1024, 2)],
-    &[
-        target("bank", 2048, 40),
-        target("store", 4096, 3),
-        target("drives", 80, 10),
-    ],
+    &[("decoder", 128, 45), ("session", 1024, 2)],
+    &[("bank", 2048, 40), ("store", 4096, 3), ("drives", 80, 10)],
 ];
-
-const fn target(name: &'static str, max_len: u32, share: u64) -> Target {
-    Target {
-        name,
-        max_len,
-        share,
-    }
-}
 
 /// Result of one target.
 struct Outcome {
@@ -101,8 +83,8 @@ fn unpack() -> Result<()> {
     fs::create_dir_all(&home)?;
     shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))?;
     // A target may have seeds only.
-    for target in LANES.iter().copied().flatten() {
-        fs::create_dir_all(corpus(target.name))?;
+    for (name, ..) in LANES.iter().copied().flatten() {
+        fs::create_dir_all(corpus(name))?;
     }
     Ok(())
 }
@@ -125,8 +107,8 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
         .args(["--manifest-path", "tests/fuzz/engine/Cargo.toml"])
         .args(["--target-dir", "target/fuzz", "--target", &host])
         .env("RUSTFLAGS", COVERAGE);
-    for target in LANES.iter().copied().flatten() {
-        build.args(["--bin", target.name]);
+    for (name, ..) in LANES.iter().copied().flatten() {
+        build.args(["--bin", name]);
     }
     shell::run(&mut build)?;
     let lanes = LANES.each_ref().map(|lane| {
@@ -145,13 +127,8 @@ fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
 }
 
 /// Fuzzes one target, of the directory `programs`, with its share of `runs`, and reads the report of libFuzzer.
-fn attack(target: Target, programs: &str, runs: u64) -> Result<Outcome> {
-    let Target {
-        name,
-        max_len,
-        share,
-    } = target;
-    let runs = runs * share / 100;
+fn attack((name, max_len, share): Target, programs: &str, runs: u64) -> Result<Outcome> {
+    let runs = runs / 100 * share + runs % 100 * share / 100;
     let home = root().join(HOME).join(name);
     let (found, seeds) = (home.join("found"), home.join("seeds"));
     for directory in [&found, &seeds] {

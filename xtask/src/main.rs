@@ -119,8 +119,7 @@ fn parse(mut args: lexopt::Parser) -> Result<Request, lexopt::Error> {
             Long(flag @ ("weld" | "repair")) => request.selection.push(format!("--{flag}")),
             Long(option @ ("base" | "tip" | "link-mass")) => {
                 let option = format!("--{option}");
-                let value = args.value()?.string()?;
-                request.selection.extend([option, value]);
+                request.selection.extend([option, args.value()?.string()?]);
             }
             Value(name) if request.command.is_empty() => request.command = name.string()?,
             other => return Err(other.unexpected()),

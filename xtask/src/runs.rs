@@ -13,8 +13,7 @@ use crate::shell::{self, PROFILE, TARGET, Toolchain, capture, command};
 /// Sets up, builds both sides, and runs the demo experiment on the board's ELF files.
 pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
     let start = Instant::now();
-    let tools = setup::run(forced)?;
-    let mut firmware = tools.board.board_cargo("build");
+    let mut firmware = setup::run(forced)?.board.board_cargo("build");
     shell::run(firmware.args(["--bin", "joint", "--bin", "bulk"]))?;
     let mut host_sim = command(&host_sim()?.to_string_lossy());
     println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
@@ -32,8 +31,7 @@ pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
 
 /// Sets up, builds the board's ELF files, breaks them, and compares the counts with the snapshot; `accept` writes them there.
 pub(crate) fn faults(forced: Option<Way>, accept: bool) -> Result<()> {
-    let tools = setup::run(forced)?;
-    shell::run(tools.board.board_cargo("build").arg("--bins"))?;
+    shell::run(setup::run(forced)?.board.board_cargo("build").arg("--bins"))?;
     let mut faults = command(&host_sim()?.to_string_lossy());
     faults.args(["faults", "--out", "target/foretorque/faults.json"]);
     faults.args(["--snapshot", "tests/snapshots/faults.txt"]);
@@ -101,8 +99,7 @@ pub(crate) fn larger(
 ) -> Result<Vec<(usize, PathBuf)>> {
     let arms = LARGER.iter().map(|(joints, file, name)| {
         let file = shell::root().join(file);
-        let out = build(board, host_sim, (&file, name, &[]), images)?;
-        Ok((*joints, out))
+        Ok((*joints, build(board, host_sim, (&file, name, &[]), images)?))
     });
     arms.collect()
 }

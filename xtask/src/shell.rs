@@ -120,8 +120,7 @@ pub(crate) fn elf(binary: &str) -> PathBuf {
 
 /// Directory of the linked ELF files of the board.
 pub(crate) fn elf_dir() -> PathBuf {
-    let target = root().join("target");
-    target.join(TARGET).join(PROFILE)
+    root().join("target").join(TARGET).join(PROFILE)
 }
 
 /// A Rust toolchain that set-up found or made.

@@ -149,8 +149,7 @@ fn images(tools: Tools) -> Vec<Gate> {
         // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
         runs("firmware", firmware),
         gate("linked firmware", || {
-            let names = [cost::JOINT, cost::DRIVE, cost::CAN];
-            cost::check_firmware(&shell::elf_dir(), &names)?;
+            cost::check_firmware(&shell::elf_dir(), &[cost::JOINT, cost::DRIVE, cost::CAN])?;
             cost::check_bench(&shell::elf_dir(), &shell::root())
         }),
         gate("library for C", move || {

@@ -84,8 +84,7 @@ impl Budget {
     }
 
     pub(crate) fn write(&self, root: &Path) -> Result<()> {
-        let written = fs::write(root.join(PAGE), self.page());
-        written.with_context(|| format!("cannot write {PAGE}"))
+        fs::write(root.join(PAGE), self.page()).with_context(|| format!("cannot write {PAGE}"))
     }
 
     fn parse(text: &str) -> Result<Self> {

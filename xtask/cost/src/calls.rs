@@ -349,8 +349,7 @@ mod tests {
         let caller = [0xB510, 0x4780, 0xBD10];
         assert_eq!(depth_and_unknown(&caller), (8, INDIRECT_CALL.into()));
         let [high, low] = call(CALLER + 2, CALLER);
-        let itself = [0xB510, high, low, 0xBD10];
-        assert_eq!(depth_and_unknown(&itself).1, RECURSION);
+        assert_eq!(depth_and_unknown(&[0xB510, high, low, 0xBD10]).1, RECURSION);
         // sub.w sp, sp, r0; bx lr
         let unfixed = [0xEBAD, 0x0D00, 0x4770];
         assert_eq!(depth_and_unknown(&unfixed).1, UNKNOWN_STACK);
@@ -362,8 +361,7 @@ mod tests {
         let caller = [0xB100, 0xB480, 0xB082, 0xB002, 0x4770];
         assert_eq!(depth_and_unknown(&caller), (4 + 8, String::new()));
         // push {r7}; b to the push
-        let caller = [0xB480, 0xE7FD];
-        assert_eq!(depth_and_unknown(&caller).1, MANY_DEPTHS);
+        assert_eq!(depth_and_unknown(&[0xB480, 0xE7FD]).1, MANY_DEPTHS);
     }
 
     #[test]

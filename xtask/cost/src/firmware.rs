@@ -178,8 +178,7 @@ fn is_allocator(name: &str) -> bool {
 
 /// Fails if a handler of `image` can reach what is forbidden; returns the number of functions in reach.
 pub(crate) fn check(image: &Image) -> Result<usize> {
-    let handlers = image.handlers();
-    let entries: Vec<u32> = handlers.iter().map(|(_, f)| f.code.start).collect();
+    let entries: Vec<u32> = image.handlers().iter().map(|(_, f)| f.code.start).collect();
     ensure!(!entries.is_empty(), "the firmware binds no interrupt");
     reach(image, &entries)
 }

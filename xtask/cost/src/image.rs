@@ -69,7 +69,8 @@ impl Image {
         let mut functions = Vec::new();
         let (mut stack_start, mut stack_end) = (RAM.end, RAM.start);
         for symbol in symbols {
-            match names.get(symbol.st_name as usize)? {
+            let name = names.get(symbol.st_name as usize)?;
+            match name {
                 "_stack_start" => stack_start = u32::try_from(symbol.st_value)?,
                 "_stack_end" => stack_end = u32::try_from(symbol.st_value)?,
                 _ => {}
@@ -80,7 +81,6 @@ impl Image {
             // The lowest bit marks Thumb.
             let start = u32::try_from(symbol.st_value)? & !1;
             let end = start + u32::try_from(symbol.st_size)?;
-            let name = names.get(symbol.st_name as usize)?;
             functions.push(Function {
                 name: format!("{:#}", rustc_demangle::demangle(name)),
                 code: start..end,

@@ -170,8 +170,7 @@ impl Arm {
         let [tick, learning] = self.cycles;
         let [tick_row, learning_row] = STEPS;
         let both = ("tick and learning step", tick + learning);
-        let cycles = [(tick_row, tick), (learning_row, learning), both];
-        let cycles = cycles.map(|(what, value)| {
+        let cycles = [(tick_row, tick), (learning_row, learning), both].map(|(what, value)| {
             measured(format!("{what}{of}, est. cycles"), value, TRACED.into())
         });
         let bytes = bytes(&of, JOINT, &self.memory);

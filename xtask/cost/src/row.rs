@@ -55,8 +55,7 @@ impl Row {
                 traced.instructions
             );
         }
-        let start = image.row(name)?.code.start;
-        let stack_bytes = firmware::bounded_depth(image, start)?.bytes;
+        let stack_bytes = firmware::bounded_depth(image, image.row(name)?.code.start)?.bytes;
         let stack_seen = calls.iter().map(|call| call.stack_bytes).max().unwrap_or(0);
         ensure!(
             stack_seen <= stack_bytes,

@@ -160,8 +160,7 @@ impl Finder<'_> {
     }
 
     fn wrap(&mut self, span: Span, change: &str, head: &str, tail: &str) {
-        let edits = wrapped(&span.byte_range(), head, tail);
-        self.push(span, change, edits);
+        self.push(span, change, wrapped(&span.byte_range(), head, tail));
     }
 
     fn function(

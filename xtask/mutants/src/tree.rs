@@ -114,8 +114,7 @@ impl Tree {
     /// Builds the library tests, without the mutants that do not compile in them; the programs.
     pub(crate) fn build(&self, mutants: &mut [Option<Mutant>]) -> Result<Vec<PathBuf>> {
         let test = ["test", "--lib", "--no-run", "--message-format=json"];
-        let output = self.until_it_compiles(&test, mutants)?;
-        let programs = messages(&output)
+        let programs = messages(&self.until_it_compiles(&test, mutants)?)
             .filter_map(|message| message["executable"].as_str().map(PathBuf::from))
             .collect::<Vec<_>>();
         ensure!(programs.len() == PACKAGES.len(), "{programs:?}");
