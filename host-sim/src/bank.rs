@@ -56,6 +56,9 @@ enum Source {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.robot.is_none() && arguments.arm != ArmOptions::default() {
+        bail!("options of an arm need --robot");
+    }
     if let (Some(_), Some(robot)) = (&arguments.board, &arguments.robot) {
         if arguments.read.is_none() {
             // Before a board is disturbed: is it a bank?

@@ -319,22 +319,25 @@ impl Jobs {
 }
 
 fn run_demo(arguments: &Demo) -> Result<(), Failure> {
-    if arguments.learning_s.min(arguments.usart_learning_s) < 1.0 {
+    let (choice, learning_s) = (&arguments.board, arguments.learning_s);
+    let beside = (*choice == BoardChoice::Qemu).then_some(BoardChoice::QemuUsart);
+    let usart_learning_s = beside
+        .as_ref()
+        .map_or(learning_s, |_| arguments.usart_learning_s);
+    if learning_s.min(usart_learning_s) < 1.0 {
         bail!("times of learning must be at least 1 s");
     }
-    if arguments.usart_learning_s > arguments.learning_s {
+    if usart_learning_s > learning_s {
         bail!("--usart-learning-s must not exceed --learning-s");
     }
     let config = DemoConfig {
         seed: arguments.out.seed,
-        learning_s: arguments.learning_s,
-        usart_learning_s: arguments.usart_learning_s,
+        learning_s,
+        usart_learning_s,
         ..DemoConfig::default()
     };
-    let choice = &arguments.board;
     arguments.out.study(|progress| {
         let mut bulk = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
-        let beside = (*choice == BoardChoice::Qemu).then_some(BoardChoice::QemuUsart);
         let usart = beside
             .as_ref()
             .map(|board| board.connect::<Ur5, JOINTS, PARAMETERS>(None));

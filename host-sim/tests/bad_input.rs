@@ -137,7 +137,7 @@ fn a_terminal_that_hangs_up_is_no_failure() {
         "--version",
         "experiment --list",
         "bank out/bank.bin",
-        "experiment demo --board native --learning-s 1 --usart-learning-s 1 --out demo",
+        "experiment demo --board native --learning-s 1 --out demo",
     ] {
         hung_up(here.command(arguments));
     }
