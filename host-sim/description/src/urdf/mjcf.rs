@@ -213,7 +213,7 @@ impl<'a, 'input> Reader<'a, 'input> {
 
     /// A joint, and what follows it in the frame of the link it moves.
     ///
-    /// `T = place · Trans(p) Rot(axis, q − ref) · Trans(−p)`
+    /// `T = place · Trans(p) Rot(axis, q − ref) · Trans(−p)`; a slide moves by `(q − ref) axis`
     fn joint(
         &mut self,
         node: Node<'a, 'input>,
@@ -248,23 +248,28 @@ impl<'a, 'input> Reader<'a, 'input> {
             _ => self.angle(1.0),
         };
         let back = -of("ref")?.unwrap_or(0.0) * turn;
-        let back = Unit::try_new(axis, 1e-9).map_or(Matrix3::identity(), |axis| {
-            Rotation3::from_axis_angle(&axis, back).into_inner()
-        });
+        let still = Placement::identity();
+        let moved = match Unit::try_new(axis, 1e-9) {
+            Some(axis) if kind == "prismatic" => Placement {
+                origin: back * axis.into_inner(),
+                ..still
+            },
+            Some(axis) => Placement {
+                rot_parent_child: Rotation3::from_axis_angle(&axis, back).into_inner(),
+                ..still
+            },
+            None => still,
+        };
         let force = self.range(node, class, ["actuatorfrcrange", "actuatorfrclimited"])?;
         let moving = Placement {
             origin: anchor,
-            ..Placement::identity()
-        };
-        let turned = Placement {
-            rot_parent_child: back,
-            ..Placement::identity()
+            ..still
         };
         let element = JointElement {
             kind: kind.to_owned(),
             parent: parent.to_owned(),
             child: format!("{name}#moved"),
-            origin: place.then(&moving).then(&turned),
+            origin: place.then(&moving).then(&moved),
             axis,
             limit: LimitElement {
                 lower: range.map(|range| range.0 * turn),
@@ -394,6 +399,22 @@ mod tests {
         let end = 1.5_f64.to_radians();
         assert_eq!(position(&named), (-end, end));
         assert!(!noted(&named));
+    }
+
+    #[test]
+    fn a_slide_that_is_welded_stands_at_its_zero() {
+        let inertial = "<inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/>";
+        let arm = format!(
+            r#"<mujoco><worldbody><body><joint range="-90 90"/>{inertial}
+            <body><joint type="slide" axis="2 0 0" ref="0.5"/>{inertial}</body></body></worldbody></mujoco>"#
+        );
+        let weld = Selection {
+            weld: true,
+            ..Selection::default()
+        };
+        let robot = parse("t", &arm, &weld).unwrap().robot;
+        // Half of the mass 0.5 m back.
+        assert_eq!(robot.joints[0].link.com.as_slice(), [-0.25, 0.0, 0.0]);
     }
 
     #[test]
