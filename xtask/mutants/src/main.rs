@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, ensure};
 
 use places::Place;
 use tree::{Mutant, Tree};
@@ -239,9 +239,9 @@ impl Report {
         }
         println!("\n{text}");
         ensure!(named_killed == named, "a named mutant lives");
-        if share < REQUIRED {
-            bail!("less than {REQUIRED} % of the sample are killed");
-        }
+        // Not so of a sample of which nothing compiles.
+        let enough = share >= REQUIRED;
+        ensure!(enough, "less than {REQUIRED} % of the sample are killed");
         ensure!(
             unexplained == 0,
             "{unexplained} live mutants without a reason: kill them by a test, or write the reason into {REPORT}"
@@ -268,6 +268,24 @@ mod tests {
         let different: BTreeSet<_> = names.iter().collect();
         assert_eq!((different.len(), mutants.len()), (names.len(), names.len()));
         assert!(names.len() >= 39, "the list of the audit");
+    }
+
+    #[test]
+    fn a_campaign_that_finds_too_little_fails() {
+        for (counts, live, passes) in [
+            ([(1, 1), (100, 92)], "a", true),
+            ([(1, 1), (100, 92)], "b", false),
+            ([(1, 1), (100, 91)], "a", false),
+            ([(2, 1), (100, 92)], "a", false),
+            ([(1, 1), (0, 0)], "a", false),
+        ] {
+            let mut report = Report {
+                reasons: BTreeMap::from([("a".to_owned(), "a reason".to_owned())]),
+                counts,
+                live: vec![live.to_owned()],
+            };
+            assert_eq!(report.conclude(None).is_ok(), passes, "{counts:?} {live}");
+        }
     }
 
     #[test]
