@@ -221,7 +221,8 @@ impl<'a> Walk<'a> {
             );
             if !ends {
                 open.push((next, after, left));
-            } else if conditional > 0 {
+            }
+            if conditional > 0 {
                 // Its condition may fail; then it leaves the stack as it was.
                 open.push((next, depth, left));
             }
@@ -369,6 +370,9 @@ mod tests {
         // it eq; bxeq lr; push {r4, lr}; pop {r4, pc}
         let caller = [0xBF08, 0x4770, 0xB510, 0xBD10];
         assert_eq!(depth_and_unknown(&caller), (8, String::new()));
+        // sub sp, #8; itt eq; addeq sp, #8; bxeq lr; push {r4, lr}; add sp, #8; pop {r4, pc}
+        let caller = [0xB082, 0xBF04, 0xB002, 0x4770, 0xB510, 0xB002, 0xBD10];
+        assert_eq!(depth_and_unknown(&caller), (8 + 8, String::new()));
     }
 
     #[test]
