@@ -154,29 +154,20 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
     bytes.resize(Wiring::<6>::BYTES, 0xff);
     let wiring = Wiring::<6>::decode(&bytes).expect("it is sound");
     assert_eq!(wiring.bit_s, 500_000);
-    for (profile, role, problem) in [
-        ("apart.toml", "master", "one bit_s and data_bit_s"),
-        (
-            PROFILE,
-            "uart --joint 7",
-            "--joint 7: the arm has joints 1 to 6",
-        ),
-        (
-            PROFILE,
-            "uart",
-            "joint 1: on serial ports the drive must be a moteus",
-        ),
-        ("moteus.toml", "uart", "choose its joint with --joint"),
-        ("moteus.toml", "in-line", "joint 1: its drive needs CAN-FD"),
-        (PROFILE, "in-line", "choose its joint with --joint"),
-        (
-            "cia402.toml",
-            "in-line --joint 3",
-            "joint 3: in line no torque",
-        ),
-    ] {
-        let wiring = format!("wiring --profile {profile} --role {role} --out x");
-        here.refused(&wiring, problem);
+    here.write("sim.toml", &profile);
+    // Profile, role, and the words of the refusal.
+    let cases = "\
+apart.toml | master | one bit_s and data_bit_s
+sim.toml | uart --joint 7 | --joint 7: the arm has joints 1 to 6
+sim.toml | uart | joint 1: on serial ports the drive must be a moteus
+moteus.toml | uart | choose its joint with --joint
+moteus.toml | in-line | joint 1: its drive needs CAN-FD
+sim.toml | in-line | choose its joint with --joint
+cia402.toml | in-line --joint 3 | joint 3: in line no torque";
+    for case in cases.lines() {
+        let parts: Vec<&str> = case.split(" | ").collect();
+        let wiring = format!("wiring --profile {} --role {} --out x", parts[0], parts[1]);
+        here.refused(wiring, parts[2]);
     }
 }
 

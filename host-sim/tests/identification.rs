@@ -265,31 +265,21 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
     here.write("long.json", long);
     here.write("geared.toml", "gear_ratios = [nan]");
     here.write("copy.csv", here.text("good.csv"));
-    for (wrong, expected) in [
-        ("--gains standstill", "no motor currents"),
-        ("--log ./good.csv", "--log ./good.csv is given twice"),
-        (
-            "--log copy.csv",
-            "--log copy.csv is a copy of --log good.csv",
-        ),
-        ("--still-rad-s 50", "no joint moves"),
-        ("--filter fourier --period-s 5", "do not repeat every 5 s"),
-        ("--filter fourier --period-s 1e9", "must be at most 1000"),
-        (
-            "--filter fourier --excitation long.json",
-            "long.json: excitation: period of 1000000000 s, not above 0",
-        ),
-        ("--methods bp_black_box", "bp_black_box has no bank"),
-        (
-            "--columns-from geared.toml",
-            "geared.toml: gear_ratios: NaN is no ratio",
-        ),
-        ("--truth panda", "an arm with other parameters"),
-        (
-            "--filter fourier --excitation other.json",
-            "excitation is for robot 'other', not 'ur5'",
-        ),
-    ] {
+    // Options, and the words of the refusal.
+    let cases = "\
+--gains standstill | no motor currents
+--log ./good.csv | --log ./good.csv is given twice
+--log copy.csv | --log copy.csv is a copy of --log good.csv
+--still-rad-s 50 | no joint moves
+--filter fourier --period-s 5 | do not repeat every 5 s
+--filter fourier --period-s 1e9 | must be at most 1000
+--filter fourier --excitation long.json | long.json: excitation: period of 1000000000 s, not above 0
+--methods bp_black_box | bp_black_box has no bank
+--columns-from geared.toml | geared.toml: gear_ratios: NaN is no ratio
+--truth panda | an arm with other parameters
+--filter fourier --excitation other.json | excitation is for robot 'other', not 'ur5'";
+    for case in cases.lines() {
+        let (wrong, expected) = case.split_once(" | ").expect("two parts");
         let identify = format!("identify --robot ur5 --log good.csv --out out {wrong}");
         here.refused(&identify, expected);
     }

@@ -368,8 +368,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     here.succeeds(simulate);
     let identify = "identify --robot panda --log hand.csv --data-check";
     here.refused(identify, " kg at the flange explains what");
-    let bags = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ros2-bags");
-    let ur10 = Robot::load(&format!("{bags}/ur10.toml")).expect("a robot");
+    let ur10 = Robot::load(&data("ur10.toml")).expect("a robot");
     log_of(&ur10, &here.join("bad.csv"), 3000, 0.0, None, 0.05);
     judged("another arm");
     // The learner is not replayed on it either, but by force.
