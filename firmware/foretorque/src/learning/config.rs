@@ -29,7 +29,7 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     pub inv_period: f32,
     /// Assumed standard deviation of a torque measurement, in units of the torque limit.
     pub noise: f32,
-    /// Bound of an innovation, standard deviations; larger ones count as this many.
+    /// Bound of an innovation, standard deviations; larger ones count as this many, and leave the covariance as it is.
     pub outlier_sigmas: f32,
     /// Factor on the noise of a row in the update of the estimate, because rows are correlated: the least of real arms with
     /// 6 joints. The measured correlation is no measure of it: errors of the estimate are correlated, too. They would

@@ -74,15 +74,17 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         gain: &mut LinearParameters<N, P>,
     ) -> f32 {
         phi.of_joint(joint).map_or(f32::NAN, |phi| {
-            self.update_joint(joint, &phi, variance, gain)
+            let f = self.transposed_times(joint, &phi);
+            self.update_joint(joint, &phi, f, variance, gain)
         })
     }
 
-    /// [`update`](Self::update) with the entries of `joint`.
+    /// [`update`](Self::update) with the entries of `joint` and `f` = Uᵀφ. With an infinite `variance` P stays as it is.
     pub(super) fn update_joint(
         &mut self,
         joint: usize,
         phi: &JointEntries<P>,
+        f: JointEntries<P>,
         variance: f32,
         gain: &mut LinearParameters<N, P>,
     ) -> f32 {
@@ -95,7 +97,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         *first = row_first.min(*first);
         let first = *first;
         // f, replaced by λ.
-        let mut lambda = self.transposed_times(joint, phi);
+        let mut lambda = f;
         let mut v = JointEntries::ZERO;
         let Some(d) = self.diagonal.friction.get_mut(joint) else {
             return f32::NAN;
@@ -114,7 +116,7 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
     /// Product f = Uᵀ φ, by rows: `f ← f + φ_i U_i`.
     ///
     #[inline(never)]
-    fn transposed_times(&self, joint: usize, phi: &JointEntries<P>) -> JointEntries<P> {
+    pub(super) fn transposed_times(&self, joint: usize, phi: &JointEntries<P>) -> JointEntries<P> {
         let mut f = *phi;
         let JointEntries {
             own: friction,
@@ -370,6 +372,27 @@ mod tests {
                 filter.update(0, &phi, 0.02, &mut gain);
                 assert!(filter.diagonal().iter().all(|&d| d > 0.0), "{size}");
             }
+        }
+    }
+
+    #[test]
+    fn a_row_without_evidence_leaves_the_factors_and_gives_the_gain() {
+        let (mut filter, mut random) = (UdFilter::<2, 3>::new(), Random(1));
+        let (mut gain, mut plain) = (LinearParameters::filled(0.0), LinearParameters::filled(0.0));
+        for row in 0..100 {
+            let mut phi = JointEntries::ZERO;
+            for phi in phi.own.iter_mut().chain(&mut phi.rigid) {
+                *phi = random.uniform() as f32;
+            }
+            let (before, joint) = (filter, row % 2);
+            let f = filter.transposed_times(joint, &phi);
+            filter.update_joint(joint, &phi, f, f32::INFINITY, &mut gain);
+            // The joint's first column is known from now on.
+            filter.first = before.first;
+            assert_eq!(filter, before);
+            filter.update_joint(joint, &phi, f, 0.5, &mut plain);
+            assert_eq!(gain, plain);
+            assert_ne!(filter.diagonal, before.diagonal);
         }
     }
 

@@ -48,12 +48,14 @@ impl Twin {
         let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
         let total = dot(&gain, phi) + factor * self.variance[joint];
         let s = total - (factor - 1.0) * self.variance[joint];
-        for (row, a) in self.p.iter_mut().zip(&gain) {
-            for (p, b) in row.iter_mut().zip(&gain) {
-                *p -= a * b / total;
+        let z = innovation / s.sqrt();
+        if z.abs() <= 3.0 {
+            for (row, a) in self.p.iter_mut().zip(&gain) {
+                for (p, b) in row.iter_mut().zip(&gain) {
+                    *p -= a * b / total;
+                }
             }
         }
-        let z = innovation / s.sqrt();
         let up = z.abs() > 0.6745;
         let mut step = 1.005;
         if self.effective_rows[joint] < f64::from(EFFECTIVE_ROWS) {
@@ -266,6 +268,33 @@ fn frictionless(
     *drift = 0.98 * *drift + 0.02 * 6.0 * random.uniform() as f32;
     let tau = dot(&row.rigid, &rigid) + 0.02 * *drift * Ur5::LIMITS[joint].torque;
     (row, tau)
+}
+
+#[test]
+fn friction_far_beyond_its_prior_is_learnt_in_a_second_of_rows() {
+    // Joint 1 moves one way for a second, then the other way: only that tells friction and offset apart.
+    let (config, joint) = (LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3), 1);
+    let limit = Ur5::LIMITS[joint].torque;
+    let mut truth = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1));
+    let coulomb = FrictionColumn::Coulomb as usize;
+    truth.friction[joint][coulomb] = 8.0 * config.sigma.friction[joint][coulomb];
+    let mut estimator = Estimator::<N, P>::new::<Ur5>(&ParameterSet::nominal::<Ur5>(1));
+    let mut random = Random(3);
+    let mut error = f32::NAN;
+    for row in 0..334 {
+        let mut motion = JointMotion::<N>::zero();
+        motion.qd[joint] = if row < 167 { 0.3 } else { -0.3 };
+        let mut sample = ConditionedSample {
+            motion,
+            tau: JointVector::zeros(),
+        };
+        let columns = torque_row::<Ur5, N, P>(joint, &sample);
+        sample.tau[joint] = columns.dot(&truth) + 0.003 * limit * random.normal() as f32;
+        let corrected = estimator.correct(&config, joint, limit, &columns, sample.tau[joint]);
+        assert!(corrected.is_some());
+        error = columns.dot(&truth) - columns.dot(estimator.parameters());
+    }
+    assert!(error.abs() < 0.01 * limit, "{} of the limit", error / limit);
 }
 
 #[test]

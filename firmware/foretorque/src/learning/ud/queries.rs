@@ -37,9 +37,14 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         joint: usize,
         phi: &JointEntries<P>,
     ) -> f32 {
-        let f = self.transposed_times(joint, phi);
+        self.squared(joint, &self.transposed_times(joint, phi))
+    }
+
+    /// Square Σ D_j f_j² of f = Uᵀφ for a row φ of `joint`.
+    #[inline(never)]
+    pub(in crate::learning) fn squared(&self, joint: usize, f: &JointEntries<P>) -> f32 {
         let Some(diagonal) = self.diagonal.friction.get(joint) else {
-            return 0.0;
+            return f32::NAN;
         };
         let own = f.own.iter().zip(diagonal);
         let rigid = f.rigid.iter().zip(&self.diagonal.rigid);
