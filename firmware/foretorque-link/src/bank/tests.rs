@@ -71,20 +71,6 @@ fn columns_are_links_then_rotors_then_friction() {
 }
 
 #[test]
-fn kinds_of_columns_keep_their_numbers() {
-    let symbols = (0..=u8::MAX).filter_map(|number| {
-        let kind = ColumnKind::try_from(number).ok()?;
-        Some((number, ColumnId { kind, joint: 0 }.to_string()))
-    });
-    let wanted = [
-        "m1", "mx1", "my1", "mz1", "Ixx1", "Iyy1", "Izz1", "Ixy1", "Ixz1", "Iyz1", "Ia1", "Fv1",
-        "Fc1", "Fsn1", "Fsw1", "Fo1", "Gs1", "Gc1", "Fs1", "Fb1", "Fl1",
-    ];
-    let wanted = (0..).zip(wanted.map(String::from));
-    assert!(symbols.take(21).eq(wanted));
-}
-
-#[test]
 fn the_nominal_bank_is_the_nominal_set_with_the_arms_limits() {
     let bank = nominal();
     let set = bank.set::<Ur5, N, P>().unwrap();

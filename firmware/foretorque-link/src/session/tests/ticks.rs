@@ -8,14 +8,6 @@ use foretorque::learning::{MAX_BRIDGED, TAPS};
 use proptest::prelude::*;
 
 #[test]
-fn currents_count_only_with_a_drive_gain() {
-    let frame = SampleFrame::new(&sample(0)).with_current(&JointVector::<N>::repeat(0.5));
-    assert_eq!(frame.sample(&[0.0; N]).measured, None);
-    let measured = frame.sample(&[10.0; N]).measured.unwrap();
-    assert_eq!(measured.tau, JointVector::<N>::repeat(5.0));
-}
-
-#[test]
 fn the_timer_runs_the_newest_sample_once() {
     let mut board = Board::new();
     board.pace(Pacing::SysTick);

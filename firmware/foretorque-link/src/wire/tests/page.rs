@@ -4,8 +4,19 @@ use super::*;
 use crate::bank::{ColumnId, ColumnKind};
 use crate::excitation::ExcitationError;
 use crate::store::StoreHealth;
+use crate::telemetry::Statistics;
 
 const PAGE: &str = include_str!("../../../../../docs/protocol.md");
+
+/// Rows of the tables of a section, without the head of the first.
+fn rows(section: &str) -> impl Iterator<Item = &'static str> {
+    let section = PAGE
+        .split(&std::format!("\n## {section}\n"))
+        .nth(1)
+        .unwrap();
+    let lines = section.lines().take_while(|line| !line.starts_with("## "));
+    lines.filter(|line| line.starts_with("| ")).skip(1)
+}
 
 /// The line of the protocol page that begins with these cells.
 fn row<'a>(page: &'a str, cells: &str) -> &'a str {
@@ -16,11 +27,11 @@ fn row<'a>(page: &'a str, cells: &str) -> &'a str {
 #[test]
 fn the_protocol_page_states_the_sizes_of_the_types() {
     let page = PAGE;
-    let directions = ["→", "←"].into_iter().zip(sizes::<6>()).zip(sizes::<7>());
+    let directions = ["→", "←"].into_iter().zip(frames::<6>()).zip(frames::<7>());
     for ((direction, six), seven) in directions {
         for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
             let line = row(page, &std::format!("| {direction} | {tag} | `{name}` |"));
-            let ends = std::format!("| {six} | {seven} |");
+            let ends = std::format!("| {} | {} |", six.len(), seven.len());
             let same = line.ends_with(&ends);
             assert!(same, "{line}\nends with {ends} in the types");
         }
@@ -64,114 +75,52 @@ fn width(text: &str) -> Option<usize> {
         .find_map(|&(name, bytes)| text.contains(name).then_some(bytes))
 }
 
-/// Code and bytes of the payload.
-fn coded(value: &impl Serialize) -> (u8, usize) {
-    let mut buffer = [0; 16];
-    let bytes = postcard::to_slice(value, &mut buffer).unwrap();
-    (bytes[0], bytes.len() - 1)
+/// Name and bytes of the payload of every error, in the order of their codes.
+fn coded<E: DeserializeOwned + Debug>() -> Vec<(String, usize)> {
+    let read = |code| {
+        let bytes = [code, 0, 0, 0, 0];
+        let (error, rest) = postcard::take_from_bytes::<E>(&bytes).ok()?;
+        Some((named(&error), 4 - rest.len()))
+    };
+    (0..).map_while(read).collect()
 }
 
 #[test]
-fn every_nack_code_and_width_of_the_page_is_that_of_the_type() {
-    use NackReason::*;
-    let reasons = [
-        LearningOn,
-        NotCapable,
-        Period,
-        Gap { expected: 1 },
-        TooLong,
-        Checksum,
-        Bank(BankError::Checksum),
-        Armed,
-        Unsafe(SafetyReason::Stopped),
-        Busy,
-        Key,
-        Store(StoreError::Empty),
-        Bandwidth { every: 1 },
-        Excitation(ExcitationError::NotLoaded),
-        Wait { seconds: 1 },
-        Brake,
-    ];
-    for (number, reason) in reasons.iter().enumerate() {
-        let (code, bytes) = coded(reason);
-        assert_eq!(usize::from(code), number);
-        let line = row(PAGE, &std::format!("| {code} | `{}` |", named(reason)));
+fn every_code_and_width_of_the_nack_reasons_is_that_of_the_type() {
+    let mut lines = rows("Nack reasons");
+    for (code, (name, bytes)) in coded::<NackReason>().iter().enumerate() {
+        let line = lines.next().unwrap();
+        assert!(
+            line.starts_with(&std::format!("| {code} | `{name}` |")),
+            "{line}"
+        );
         let payload = line.split('|').nth(3).unwrap();
         let error = payload.contains("error");
-        let stated = width(payload).unwrap_or(error.into());
-        assert_eq!(stated, bytes, "{line}");
+        assert_eq!(width(payload).unwrap_or(error.into()), *bytes, "{line}");
     }
-}
-
-#[test]
-fn every_error_code_and_width_of_the_page_is_that_of_the_type() {
-    use BankError as B;
-    use ExcitationError as X;
-    use StoreError as S;
-    let bank = [
-        B::NotABank,
-        B::Version(1),
-        B::Checksum,
-        B::Malformed,
-        B::TooLong,
-        B::WrongArm { found: 1 },
-        B::MissingColumn(1),
-        B::UnknownColumn(1),
-        B::Column(1),
-        B::NetworkShape,
-        B::Weight(1),
-        B::DriveGain(1),
-        B::Limit(1),
-        B::Implausible(1),
-    ];
-    let store = [
-        S::Empty,
-        S::WrongArm { found: 1 },
-        S::Version(1),
-        S::Damaged,
-        S::Bank(B::Checksum),
-        S::TooLong,
-        S::NotKept,
-        S::Flash,
-    ];
-    let excitation = [
-        X::WrongArm,
-        X::Number(1),
-        X::CertificateBeyondLimits(1),
-        X::CertificateBroken(1),
-        X::NotAtRest(1),
-        X::NotLoaded,
-        X::Running,
-    ];
-    let codes = |errors: &mut dyn Iterator<Item = (u8, usize)>| errors.collect::<Vec<_>>();
+    assert_eq!(lines.next(), Some("| error | codes |"));
     for (name, codes) in [
-        ("bank", codes(&mut bank.iter().map(coded))),
-        ("store", codes(&mut store.iter().map(coded))),
-        ("excitation", codes(&mut excitation.iter().map(coded))),
+        ("bank", coded::<BankError>()),
+        ("store", coded::<StoreError>()),
+        ("excitation", coded::<ExcitationError>()),
     ] {
-        let errors = PAGE.find("| error | codes |").unwrap();
-        let line = row(&PAGE[errors..], &std::format!("| {name} |"));
+        let line = lines.next().unwrap();
+        assert!(line.starts_with(&std::format!("| {name} |")), "{line}");
         let items: Vec<_> = line.split('|').nth(2).unwrap().split(';').collect();
         assert_eq!(items.len(), codes.len(), "{line}");
-        for (item, (code, bytes)) in items.iter().zip(codes) {
+        for (code, (item, (_, bytes))) in items.iter().zip(codes).enumerate() {
             let nested = usize::from(item.contains("bank error"));
             let begins = item.trim().starts_with(&std::format!("{code} "));
             assert!(begins && width(item).unwrap_or(nested) == bytes, "{item}");
         }
     }
+    assert_eq!(lines.next(), None);
 }
 
 #[test]
 fn the_types_of_the_hello_on_the_page_read_a_hello_to_its_end() {
-    let [_, from_board] = frames::<6>();
-    let mut decoder = Decoder::new();
-    let mut hello: Option<BoardMessage<6>> = None;
-    for &byte in &from_board[0].1 {
-        if let Some(frame) = decoder.push(byte) {
-            hello = frame.unwrap().message().ok();
-        }
-    }
-    let Some(BoardMessage::Hello(mut timed)) = hello.clone() else {
+    let (_, from_board) = longest::<6>();
+    let BoardMessage::Hello(mut hello) = from_board[0].clone() else {
         panic!("no hello");
     };
     for (counts, hz, time_us) in [
@@ -179,16 +128,12 @@ fn the_types_of_the_hello_on_the_page_read_a_hello_to_its_end() {
         (u32::MAX, 1, None),
         (5, 0, None),
     ] {
-        (timed.boot_counts, timed.counter_hz) = (counts, hz);
-        assert_eq!(timed.boot_us(), time_us, "{counts} at {hz} Hz");
+        (hello.boot_counts, hello.counter_hz) = (counts, hz);
+        assert_eq!(hello.boot_us(), time_us, "{counts} at {hz} Hz");
     }
     let mut buffer = [0; MAX_FRAME];
-    let mut rest = &*postcard::to_slice(&hello.unwrap(), &mut buffer).unwrap();
-    rest = &rest[1..];
-    let section = PAGE.split("## Hello").nth(1).unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let rows = section.lines().filter(|line| line.starts_with("| "));
-    for line in rows.skip(1) {
+    let mut rest = &*postcard::to_slice(&hello, &mut buffer).unwrap();
+    for line in rows("Hello") {
         for kind in line.split('|').nth(2).unwrap().split(',') {
             let bytes = match width(kind) {
                 Some(bytes) => bytes,
@@ -223,11 +168,8 @@ fn numbers(debug: &str) -> Vec<(String, i64)> {
 
 #[test]
 fn the_order_of_the_statistics_on_the_page_is_that_of_the_type() {
-    let section = PAGE.split("## Statistics").nth(1).unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let rows = section.lines().filter(|line| line.starts_with("| "));
     let (mut bytes, mut wanted) = (Vec::new(), Vec::new());
-    for line in rows.skip(1) {
+    for line in rows("Statistics") {
         let mut cells = line.split('|').skip(1);
         let width = width(cells.next().unwrap()).unwrap();
         for name in cells.next().unwrap().split('`').skip(1).step_by(2) {
@@ -248,30 +190,28 @@ fn the_order_of_the_statistics_on_the_page_is_that_of_the_type() {
 }
 
 #[test]
-fn every_kind_of_column_is_on_the_page() {
+fn every_kind_of_column_is_on_the_page_or_retired() {
     for number in 0..=u8::MAX {
         let Ok(kind) = ColumnKind::try_from(number) else {
             continue;
         };
-        let name = std::string::ToString::to_string(&ColumnId { kind, joint: 0 });
+        let name = ColumnId { kind, joint: 0 }.to_string();
         let cells = std::format!("| {number} | `{}`", name.trim_end_matches('1'));
-        let retired = [13, 14].contains(&number);
+        let retired = ["| 13 | `Fsn`", "| 14 | `Fsw`"].contains(&&*cells);
         assert!(PAGE.contains(&cells) || retired, "{cells}");
     }
 }
 
 #[test]
 fn the_byte_examples_of_the_page_are_the_frames_of_the_types() {
-    let mut wanted = String::new();
+    let mut wanted = Vec::new();
     for (direction, frames) in ["→", "←"].into_iter().zip(frames::<6>()) {
         for (tag, (name, frame)) in frames.into_iter().enumerate() {
-            let hex: Vec<_> = frame
-                .iter()
-                .map(|byte| std::format!("{byte:02x}"))
-                .collect();
-            let hex = hex.join(" ");
-            wanted += &std::format!("| {direction} | {tag} | `{name}` | `{hex}` |\n");
+            let hex = frame.iter().map(|byte| std::format!("{byte:02x}"));
+            let hex = hex.collect::<Vec<_>>().join(" ");
+            wanted.push(std::format!("| {direction} | {tag} | `{name}` | `{hex}` |"));
         }
     }
-    assert!(PAGE.contains(&wanted), "the examples are\n{wanted}");
+    let stated: Vec<_> = rows("Byte examples").collect();
+    assert_eq!(stated, wanted, "the examples are\n{}", wanted.join("\n"));
 }
