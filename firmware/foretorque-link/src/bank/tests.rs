@@ -6,7 +6,7 @@ use foretorque::feedforward::FeedForwardConfig;
 use foretorque::learning::ParameterSet;
 use proptest::prelude::*;
 use std::format;
-use std::string::{String, ToString};
+use std::string::ToString;
 use std::vec::Vec as List;
 
 const N: usize = 6;

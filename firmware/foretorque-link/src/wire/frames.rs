@@ -110,12 +110,6 @@ impl<const N: usize> SampleFrame<N> {
         self
     }
 
-    /// Sets the motor temperature of joint `flags.period() % N`, °C.
-    pub fn with_temperature(mut self, temperature_c: i8) -> Self {
-        self.temperature_c = temperature_c;
-        self
-    }
-
     /// The sample in the units of the tick. With an effort at the end of its range nothing counts as measured.
     ///
     /// * `gains` drive gains, N × N·m/A; where a required one is not positive, nothing counts as measured, either

@@ -174,34 +174,19 @@ fn nothing_is_written_while_torque_flows_or_learning_is_on() {
 }
 
 #[test]
-fn a_board_that_restarted_itself_waits_for_clear_fault() {
-    use SafetyReason::{MotorHot, None, Restarted, Stopped};
-    for (reset_reason, kept_fault, first) in [
-        (ResetReason::Watchdog, None, Restarted),
-        (ResetReason::Panic, None, Restarted),
-        (ResetReason::Fault, MotorHot, MotorHot),
-        (ResetReason::Software, Stopped, Stopped),
-        (ResetReason::PowerOn, None, None),
-    ] {
-        let mut board = Board::with(|board| {
-            (board.reset_reason, board.kept_fault) = (reset_reason, kept_fault);
-        });
-        assert_eq!(board.session.latched_fault(), first);
-        board.samples_to_arm();
-        let reply = if first == None { ACK } else { no_torque(first) };
-        assert_eq!(board.request(HostMessage::Arm), reply);
+fn a_hot_motor_ends_the_torque_of_all_whoever_measures_it() {
+    for of_host in [true, false] {
+        let mut board = Board::armed();
+        let mut frame = SampleFrame::new(&sample(0));
+        if of_host {
+            frame.temperature_c = 101;
+        } else {
+            board.session.note_temperature(2, 100);
+        }
+        (0..20).for_each(|_| _ = board.send(&HostMessage::Sample(frame)));
+        let hot = (SafetyState::Fault, SafetyReason::MotorHot);
+        assert_eq!(status(&board.sample(0)), hot);
     }
-}
-
-#[test]
-fn a_hot_motor_ends_the_torque_of_all() {
-    let mut board = Board::armed();
-    for _ in 0..20 {
-        let hot = SampleFrame::new(&sample(0)).with_temperature(101);
-        board.request(HostMessage::Sample(hot));
-    }
-    let hot = (SafetyState::Fault, SafetyReason::MotorHot);
-    assert_eq!(status(&board.sample(0)), hot);
 }
 
 #[test]
@@ -324,38 +309,43 @@ fn m6_a_clock_too_slow_for_the_period_is_reported_and_refuses_to_arm() {
 }
 
 #[test]
-fn m7_a_board_with_a_damaged_program_cannot_be_armed() {
-    for (image, reason) in [
-        (ImageStatus::Unsealed, SafetyReason::None),
-        (ImageStatus::Sound, SafetyReason::None),
-        (ImageStatus::Damaged, SafetyReason::Image),
+fn m7_what_was_latched_or_damaged_at_the_start_refuses_to_arm() {
+    use ImageStatus::{Damaged, Sound, Unsealed};
+    use ResetReason::{Fault, Panic, PowerOn, Software, Watchdog};
+    use SafetyReason::{Image, MotorHot, None, Restarted, Stopped};
+    // Program, cause of the start and fault of before; fault that is latched, and that is kept for the next start.
+    for (image, reset_reason, kept_fault, latched, kept_on) in [
+        (Unsealed, Watchdog, None, Restarted, Restarted),
+        (Unsealed, Panic, None, Restarted, Restarted),
+        (Unsealed, Fault, MotorHot, MotorHot, MotorHot),
+        (Unsealed, Software, Stopped, Stopped, Stopped),
+        (Sound, Software, Stopped, Stopped, Stopped),
+        (Unsealed, PowerOn, None, None, None),
+        (Sound, PowerOn, None, None, None),
+        (Damaged, PowerOn, Stopped, Image, Stopped),
+        (Damaged, PowerOn, None, Image, None),
     ] {
-        let mut board = Board::with(|board| board.chip.image = image);
-        assert_eq!(board.session.safety().reason, reason);
-        let reply = match reason {
-            SafetyReason::None => ACK,
-            reason => no_torque(reason),
+        let mut board = Board::with(|board| {
+            (board.chip.image, board.reset_reason) = (image, reset_reason);
+            board.kept_fault = kept_fault;
+        });
+        let reply = |reason| {
+            if reason == None {
+                ACK
+            } else {
+                no_torque(reason)
+            }
         };
-        board.samples_to_arm();
-        assert_eq!(board.request(HostMessage::ClearFault), reply);
-        assert_eq!(board.request(HostMessage::Arm), reply);
-        assert_eq!(board.session.latched_fault(), reason);
-        assert_eq!(board.session.torque_enabled(), reply == ACK);
-    }
-}
-
-#[test]
-fn a_damaged_program_keeps_the_fault_of_before_and_not_itself() {
-    use SafetyReason::{Image, None, Stopped};
-    for (image, kept, kept_on) in [
-        (ImageStatus::Damaged, Stopped, Stopped),
-        (ImageStatus::Damaged, None, None),
-        (ImageStatus::Sound, Stopped, Stopped),
-    ] {
-        let board = Board::with(|board| (board.chip.image, board.kept_fault) = (image, kept));
-        let damaged = image == ImageStatus::Damaged;
-        let latched = if damaged { Image } else { kept };
         assert_eq!(board.session.latched_fault(), latched);
+        assert_eq!(board.session.safety().reason, latched);
         assert_eq!(board.session.kept_fault(), kept_on);
+        board.samples_to_arm();
+        assert_eq!(board.request(HostMessage::Arm), reply(latched));
+        // Only another program mends a damaged one.
+        let left = if image == Damaged { Image } else { None };
+        assert_eq!(board.request(HostMessage::ClearFault), reply(left));
+        assert_eq!(board.request(HostMessage::Arm), reply(left));
+        assert_eq!(board.session.latched_fault(), left);
+        assert_eq!(board.session.torque_enabled(), left == None);
     }
 }

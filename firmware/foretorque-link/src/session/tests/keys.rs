@@ -89,11 +89,14 @@ fn a_missing_or_wrong_signature_leaves_the_old_bank() {
 }
 
 #[test]
-fn a_board_without_a_key_needs_no_signature() {
-    let mut board = Board::new();
-    let refused = nack(NackReason::NotCapable);
-    assert_eq!(board.request(HostMessage::Challenge), refused);
-    assert_eq!(board.upload(&uploaded(), None), ACK);
+fn without_a_key_no_signature_is_needed_and_without_randomness_there_is_no_challenge() {
+    let mut open = Board::new();
+    assert_eq!(open.upload(&uploaded(), None), ACK);
+    let mut known = Board::with(|board| (board.write_key, board.seed) = (Some(key(3)), None));
+    for board in [&mut open, &mut known] {
+        let refused = nack(NackReason::NotCapable);
+        assert_eq!(board.request(HostMessage::Challenge), refused);
+    }
 }
 
 /// An excitation in which no joint moves.
@@ -259,11 +262,4 @@ fn a_permission_cannot_be_replayed_and_an_upload_serves_no_order() {
     let nonce = board.challenge();
     let mac = key(3).sign_upload(&nonce, Ur5::HASH, &order);
     assert_eq!(board.request(HostMessage::Unlock { order, mac }), REFUSED);
-}
-
-#[test]
-fn without_randomness_there_is_no_challenge() {
-    let mut board = Board::with(|board| (board.write_key, board.seed) = (Some(key(3)), None));
-    let refused = nack(NackReason::NotCapable);
-    assert_eq!(board.request(HostMessage::Challenge), refused);
 }

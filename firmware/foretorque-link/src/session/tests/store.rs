@@ -71,13 +71,14 @@ pub(super) fn storing_with(write_key: Option<WriteKey>) -> (Board, Rc<Cell<bool>
 }
 
 #[test]
-fn a_set_is_saved_and_restored_on_request() {
+fn a_set_is_saved_read_and_restored_on_request() {
     let (mut board, _) = storing();
     let bank = uploaded();
     assert_eq!(board.upload(&bank, None), ACK);
     board.acknowledged(HostMessage::Save);
     board.acknowledged(HostMessage::Reset);
-    assert_ne!(board.read(), bank);
+    assert_eq!(board.read_from(BankSource::Stored), bank);
+    assert_ne!(board.read(), bank, "in force");
     board.acknowledged(HostMessage::Restore);
     assert_eq!(board.read(), bank);
 }
@@ -110,18 +111,6 @@ fn a_damaged_set_gives_way_to_the_one_before() {
     store.flash_mut().0[second] ^= 4;
     store.flash_mut().0[first] ^= 4;
     assert_eq!(store.load(7, &mut [0; 100]), Err(StoreError::Damaged));
-}
-
-#[test]
-fn the_stored_set_can_be_read_and_is_not_in_force() {
-    let (mut board, _) = storing();
-    let bank = uploaded();
-    let store = board.housekeeping.store_mut().unwrap();
-    store.save(Ur5::HASH, &bank).unwrap();
-    let before = board.read();
-    let stored = board.read_from(BankSource::Stored);
-    assert_eq!(stored, bank);
-    assert_eq!(board.read(), before);
 }
 
 #[test]

@@ -260,8 +260,9 @@ fn m11_the_temperatures_of_all_joints_arrive_between_commands() {
     for pacing in PACINGS {
         let mut timeline = Timeline::new(pacing, 1);
         for k in 0..N as u8 {
-            let frame = SampleFrame::new(&slow(0)).in_period(k);
-            timeline.send(frame.with_temperature(60 + k as i8));
+            let mut frame = SampleFrame::new(&slow(0)).in_period(k);
+            frame.temperature_c = 60 + k as i8;
+            timeline.send(frame);
             timeline.timer();
             timeline.request(HostMessage::Statistics);
         }
