@@ -282,12 +282,6 @@ fn a_tick_of_the_timer_reads_the_encoder_too() {
     assert_eq!(board.chip.borrow().frames, before + 20);
 }
 
-#[track_caller]
-fn assert_off(board: &Board) {
-    assert!(!board.enabled());
-    assert_eq!(board.level(), 0.0);
-}
-
 #[test]
 fn an_armed_stage_gets_the_torque_of_its_joint() {
     let mut board = Board::armed(NEAR);
@@ -306,7 +300,7 @@ fn an_armed_stage_gets_the_torque_of_its_joint() {
         ramp += 1;
     }
     assert!(ramp > 1, "it ramps");
-    assert_off(&board);
+    assert_eq!((board.enabled(), board.level()), (false, 0.0));
 }
 
 #[test]
@@ -327,7 +321,7 @@ fn a_stage_with_a_fault_is_off_and_reported_in_the_same_tick() {
     let mut board = Board::armed(NEAR);
     board.bench.borrow_mut().fault = true;
     let reply = board.sample(&still(0.0));
-    assert_off(&board);
+    assert_eq!((board.enabled(), board.level()), (false, 0.0));
     assert_eq!(reply.total, [0.0; N]);
     assert_eq!(reply.safety.state, SafetyState::Fault);
     assert_eq!(reply.safety.reason, SafetyReason::Drive);
@@ -340,18 +334,6 @@ fn a_stage_with_a_fault_is_off_and_reported_in_the_same_tick() {
     assert_eq!(board.request(HostMessage::ClearFault), ACK);
     assert_eq!(board.request(HostMessage::Arm), ACK);
     assert!(board.enabled());
-}
-
-#[test]
-fn a_fault_at_boot_refuses_to_arm() {
-    let mut board = Board::new(NEAR);
-    board.bench.borrow_mut().fault = true;
-    for _ in 0..5 {
-        let safety = board.sample(&still(0.0)).safety;
-        assert_eq!(safety.reason, SafetyReason::Drive);
-    }
-    board.assert_refused(SafetyReason::Drive);
-    assert!(!board.enabled());
 }
 
 #[test]

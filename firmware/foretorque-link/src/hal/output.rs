@@ -294,24 +294,15 @@ mod tests {
     }
 
     #[test]
-    fn a_failing_direction_pin_leaves_the_width_at_zero() {
+    fn a_failing_pin_leaves_the_width_at_zero_and_a_failing_timer_is_reported() {
         let duties = [Duty::max_duty_cycle(100), Duty::set_duty_cycle(50)];
         let stopped = [Duty::max_duty_cycle(100), Duty::set_duty_cycle(0)];
-        let pins = [
-            Set::set(State::High),
-            Set::set(State::Low).with_error(BROKEN),
-        ];
-        let results = commanded(&[0.5, -0.5], &[duties, stopped].concat(), &pins);
+        let [high, low] = [State::High, State::Low].map(Set::set);
+        let pins = [high.clone(), low.with_error(BROKEN)];
+        let results = commanded(&[0.5, -0.5], &[duties.clone(), stopped].concat(), &pins);
         assert!(matches!(results[1], Err(OutputError::Direction(_))));
-    }
-
-    #[test]
-    fn a_failing_timer_is_reported() {
-        let duties = [
-            Duty::max_duty_cycle(100),
-            Duty::set_duty_cycle(50).with_error(BROKEN),
-        ];
-        let results = commanded(&[0.5], &duties, &[Set::set(State::High)]);
+        let [largest, width] = duties;
+        let results = commanded(&[0.5], &[largest, width.with_error(BROKEN)], &[high]);
         assert!(matches!(results[0], Err(OutputError::Pulse(_))));
     }
 }

@@ -119,8 +119,8 @@ fn it_approaches_plays_its_periods_and_holds_smoothly() {
 
 #[test]
 fn a_stop_rests_on_the_path_and_a_start_continues_from_there() {
-    for ticks in [10, 700, 1900] {
-        let mut player = playing();
+    for (approach, ticks) in [(true, 400), (false, 10), (false, 700), (false, 1900)] {
+        let mut player = if approach { approaching() } else { playing() };
         let mut motions = followed(&mut player, ticks);
         player.command(Stop).unwrap();
         for refused in [Release, Start] {
@@ -136,16 +136,6 @@ fn a_stop_rests_on_the_path_and_a_start_continues_from_there() {
         let next = follow(&mut player).unwrap();
         assert_eq!((player.state(), next), (Approaching, held));
     }
-}
-
-#[test]
-fn a_stop_on_the_approach_rests_there() {
-    let mut player = approaching();
-    followed(&mut player, 400);
-    player.command(Stop).unwrap();
-    let motions = followed(&mut player, 2000);
-    assert_eq!(player.state(), Holding);
-    assert_smooth(&motions);
 }
 
 #[test]
