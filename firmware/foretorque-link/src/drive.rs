@@ -187,14 +187,6 @@ impl<Spi: SpiDevice, const N: usize> LocalSensor<N> for JointEncoder<Spi> {
             }
         }
     }
-
-    #[inline(always)]
-    fn silence(&mut self) {}
-
-    #[inline(always)]
-    fn holds(&self) -> bool {
-        false
-    }
 }
 
 #[cfg(test)]

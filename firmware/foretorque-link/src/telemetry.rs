@@ -95,15 +95,6 @@ pub struct CostMeter {
 }
 
 impl CostMeter {
-    /// Before the first cost.
-    pub const fn new() -> Self {
-        Self {
-            sum: 0,
-            times: 0,
-            max: 0,
-        }
-    }
-
     /// Takes one cost.
     pub fn note(&mut self, cost: u32) {
         // The sum stops with `times`, so that their quotient stays the mean; the maximum continues.
@@ -129,7 +120,7 @@ mod tests {
 
     #[test]
     fn the_mean_lies_between_the_costs_and_the_largest_is_kept() {
-        let mut meter = CostMeter::new();
+        let mut meter = CostMeter::default();
         assert_eq!(meter.cost(), Cost::default());
         for cost in [10, 30, 20] {
             meter.note(cost);

@@ -215,7 +215,7 @@ impl Observed {
         Self {
             promises: promises(&session),
             session,
-            mailboxes: Mailboxes::new(),
+            mailboxes: Mailboxes::default(),
             housekeeping: Box::new(Housekeeping::new(None)),
             out: FrameBuffer::new(),
             configuration: Configuration::default(),
@@ -324,7 +324,7 @@ pub fn store(input: &[u8]) {
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))
         .expect("the UR5's limits are usable");
     let mut housekeeping = Box::new(Housekeeping::new(Some(store)));
-    let loaded = session.boot_from(&mut housekeeping, &mut Mailboxes::new());
+    let loaded = session.boot_from(&mut housekeeping, &mut Mailboxes::default());
     let store = housekeeping.store_mut().expect("it has one");
     assert!(before.is_ok() || loaded.is_err());
     let bytes = input.get(..64).unwrap_or(input);

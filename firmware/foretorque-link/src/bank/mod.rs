@@ -87,25 +87,15 @@ impl ColumnKind {
     }
 }
 
-/// A number that is no kind of column.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NoColumnKind;
-
-impl fmt::Display for NoColumnKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("no kind of column")
-    }
-}
-
 impl TryFrom<u8> for ColumnKind {
-    type Error = NoColumnKind;
+    type Error = &'static str;
 
-    fn try_from(number: u8) -> Result<Self, NoColumnKind> {
+    fn try_from(number: u8) -> Result<Self, &'static str> {
         let kind = Self(number);
         let known = number <= ROTOR
             || Self::FRICTION.contains(&kind)
             || RETIRED.iter().any(|(retired, _)| *retired == number);
-        known.then_some(kind).ok_or(NoColumnKind)
+        known.then_some(kind).ok_or("no kind of column")
     }
 }
 

@@ -190,7 +190,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
                 Err(fault) => drives.fail(fault.joint, fault.cause),
                 Ok(()) => {}
             },
-            BusPhase::Enabling(_) if !enabled => drives.stop(),
+            BusPhase::Enabling(_) if !enabled => _ = drives.stop(),
             _ => {}
         }
         if drives.phase() != BusPhase::Off || !enabled {

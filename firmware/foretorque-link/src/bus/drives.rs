@@ -174,12 +174,7 @@ impl<const N: usize> BusDrives<N> {
     }
 
     /// Switches the drives off with the next frames, without damping.
-    pub fn stop(&mut self) {
-        self.switch_off();
-    }
-
-    /// The next frame of each drive switches it off.
-    fn switch_off(&mut self) -> BusPhase {
+    pub fn stop(&mut self) -> BusPhase {
         self.idle = IDLE_ROUND - 1;
         self.phase = BusPhase::Off;
         self.phase
@@ -278,7 +273,7 @@ impl<const N: usize> BusDrives<N> {
         let period_s = self.period_s;
         self.phase = match self.phase {
             BusPhase::Off => BusPhase::Off,
-            BusPhase::Enabling(_) if self.fault.is_some() => self.switch_off(),
+            BusPhase::Enabling(_) if self.fault.is_some() => self.stop(),
             BusPhase::Enabling(count) => {
                 let waiting = self.links.iter().position(|link| {
                     link.as_ref().is_some_and(|link| match link.reply.state {
@@ -297,13 +292,13 @@ impl<const N: usize> BusDrives<N> {
                     }
                     Some(cause) => {
                         self.fail(waiting.map(|joint| joint as u8), cause);
-                        self.switch_off()
+                        self.stop()
                     }
                 }
             }
             BusPhase::Running(count) if enabled => BusPhase::Running(count.saturating_add(1)),
             BusPhase::Running(_) => self.damp(),
-            BusPhase::Damping(0) => self.switch_off(),
+            BusPhase::Damping(0) => self.stop(),
             BusPhase::Damping(left) => BusPhase::Damping(left - 1),
         };
     }

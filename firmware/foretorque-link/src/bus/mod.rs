@@ -169,7 +169,7 @@ pub struct BusTick<const N: usize> {
 /// };
 /// let config = BusConfig { period_s: 2e-3, joints: [1, 2, 3, 4, 5, 6].map(joint) };
 /// let mut bus = BusController::<Ur5, 6, 40>::new(config, &Parameters::nominal::<Ur5>())?;
-/// let (mut mailbox, mut sent) = (LearnerMailbox::new(), 0);
+/// let (mut mailbox, mut sent) = (LearnerMailbox::default(), 0);
 /// let tick = bus.tick(None, &mut mailbox, |_bus, _frame| sent += 1);
 /// assert_eq!((tick.phase, sent), (BusPhase::Off, 6));
 /// # Ok::<(), foretorque_link::drives::Contradiction>(())

@@ -117,7 +117,7 @@ impl Drives {
         change: impl Fn(usize, &mut JointReply) -> bool,
     ) -> BusTick<6> {
         let mut sent = Vec::new();
-        let mut mailbox = LearnerMailbox::new();
+        let mut mailbox = LearnerMailbox::default();
         let tick = controller.tick(desired, &mut mailbox, |bus, frame| sent.push((bus, *frame)));
         for (bus, frame) in self.answers(&sent, change) {
             controller.receive(bus, &frame);
@@ -266,7 +266,7 @@ fn no_drive_is_switched_on_where_torque_may_not_flow() {
     drives.rest(&mut controller, 20);
     let refusal = controller.arm().expect_err("the drives damp");
     assert_eq!(refusal, SafetyReason::StillRamping.into());
-    let mut mailbox = LearnerMailbox::new();
+    let mut mailbox = LearnerMailbox::default();
     controller.stop(&mut mailbox);
     let request = mailbox.exchange.request.map(|(_, request)| request);
     assert_eq!(request, Some(foretorque::learning::Request::Stop));
@@ -294,7 +294,7 @@ fn a_stop_switches_every_drive_off_with_its_next_frame() {
         let mut drives = Drives::new();
         let mut controller = drives.started();
         drives.rest(&mut controller, periods);
-        controller.stop(&mut LearnerMailbox::new());
+        controller.stop(&mut LearnerMailbox::default());
         drives.rest(&mut controller, 1);
         assert_eq!(drives.on, [false; 6], "{periods}");
     }
@@ -342,7 +342,7 @@ impl Board {
         Self {
             board: BoardDrives::new(&wiring),
             session: Session::new(BoardDescription::plain(NoClock)).unwrap(),
-            mailboxes: Mailboxes::new(),
+            mailboxes: Mailboxes::default(),
             drives: Drives::of(config),
             sent: 0,
         }
@@ -662,7 +662,7 @@ fn foreign_frames_and_any_bits_change_no_torque() {
     assert_eq!(controller.drives().strays() - strays, 0xfff);
     let mut motion = JointMotion::<6>::zero();
     motion.q.fill(f32::NAN);
-    let mut mailbox = LearnerMailbox::new();
+    let mut mailbox = LearnerMailbox::default();
     for _ in 0..100 {
         let tick = controller.tick(Some(&motion), &mut mailbox, |_, frame| {
             let sent = config()

@@ -49,15 +49,10 @@ impl Frame {
     #[must_use]
     pub fn into_fd(mut self, padding: u8) -> Self {
         self.fd = true;
+        let mut longer = [12, 16, 20, 24, 32, 48].into_iter();
         let length = match self.length {
             0..=8 => self.length,
-            9..=12 => 12,
-            13..=16 => 16,
-            17..=20 => 20,
-            21..=24 => 24,
-            25..=32 => 32,
-            33..=48 => 48,
-            _ => 64,
+            used => longer.find(|&length| length >= used).unwrap_or(64),
         };
         let tail = self.data.get_mut(self.length.into()..length.into());
         tail.unwrap_or_default().fill(padding);

@@ -344,11 +344,7 @@ impl DriveProfile {
         let drive = match self.protocol {
             Protocol::MiniCheetah(r) | Protocol::Damiao(r) => 2.0 * r.torque / 4095.0,
             Protocol::CyberGear(r) | Protocol::RobStride(r) => 2.0 * r.torque / 65535.0,
-            Protocol::Moteus(m) => match m.resolution {
-                Resolution::Int16 => 1e-2,
-                Resolution::Int32 => 1e-3,
-                Resolution::F32 => 0.0,
-            },
+            Protocol::Moteus(m) => m.resolution.steps()[2],
             Protocol::Odrive(_) => 0.0,
             Protocol::Cia402(c) => 1e-3 * c.rated_torque,
         };

@@ -146,8 +146,6 @@ impl<const N: usize> ExcitationProgram<N> {
 pub struct PlayLimits<const N: usize> {
     /// Bounds of the motion.
     pub motion: [MotionBounds; N],
-    /// Largest tracking error of a program, rad.
-    pub tracking_rad: f32,
     /// Ticks without a measurement that abort it.
     pub blind_ticks: u32,
 }
@@ -171,7 +169,6 @@ impl<const N: usize> PlayLimits<N> {
         };
         Self {
             motion: A::limits().each_ref().map(bounds),
-            tracking_rad: Self::TRACKING_RAD,
             blind_ticks: (Self::BLIND_S * 1e6 / tick_us as f32) as u32 + 1,
         }
     }
@@ -227,7 +224,8 @@ fn check_at_once<const N: usize>(
     if program.arm_hash != arm_hash {
         return Err(ExcitationError::WrongArm);
     }
-    let tracking = program.tracking_rad > 0.0 && program.tracking_rad <= limits.tracking_rad;
+    let most = PlayLimits::<N>::TRACKING_RAD;
+    let tracking = program.tracking_rad > 0.0 && program.tracking_rad <= most;
     // A hundred ticks a period: the fifth harmonic needs some of them for its velocity to hold between them.
     if !tracking || program.period_us / 100 < tick_us {
         return Err(ExcitationError::Number(0));

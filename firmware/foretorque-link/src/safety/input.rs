@@ -10,7 +10,7 @@ pub const ARM_DISTANCE: f32 = 0.2;
 const IMPLAUSIBLE_WEIGHT: u32 = 4;
 
 /// Plausibility and age of the samples.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct InputState<const N: usize> {
     /// Fault of the input of this tick.
     pub(super) fault: SafetyReason,
@@ -39,23 +39,6 @@ pub(super) struct InputState<const N: usize> {
 }
 
 impl<const N: usize> InputState<N> {
-    pub(super) const fn new() -> Self {
-        Self {
-            fault: SafetyReason::None,
-            good_samples: 0,
-            since_usable: 0,
-            since_sample: 0,
-            since_measured: 0,
-            implausible_score: 0,
-            implausible: 0,
-            far_samples: 0,
-            near: false,
-            desired: None,
-            measured: None,
-            plausible: None,
-        }
-    }
-
     /// No usable sample arrived for too long.
     pub(super) fn timed_out(&self, limits: &SafetyLimits<N>) -> bool {
         self.since_usable >= limits.timeout_ticks

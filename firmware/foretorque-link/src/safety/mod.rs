@@ -91,7 +91,7 @@ impl<const N: usize> Safety<N> {
             latched: kept,
             ended: SafetyReason::None,
             unconfirmed: false,
-            input: InputState::new(),
+            input: InputState::default(),
             derating: ThermalDerating::new(),
             output: JointVector::zeros(),
             slewed_from: JointVector::zeros(),

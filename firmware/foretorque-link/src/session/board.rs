@@ -41,10 +41,14 @@ pub trait LocalSensor<const N: usize> {
     fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason;
 
     /// Called once in every period without a tick, where samples pace the board and none has come.
-    fn silence(&mut self);
+    #[inline(always)]
+    fn silence(&mut self) {}
 
     /// True while torque has to wait for the drives, although the samples are sound.
-    fn holds(&self) -> bool;
+    #[inline(always)]
+    fn holds(&self) -> bool {
+        false
+    }
 }
 
 /// A board without a sensor: the host measures every joint.
@@ -55,14 +59,6 @@ impl<const N: usize> LocalSensor<N> for NoLocalSensor {
     #[inline(always)]
     fn measure(&mut self, _: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
         SafetyReason::None
-    }
-
-    #[inline(always)]
-    fn silence(&mut self) {}
-
-    #[inline(always)]
-    fn holds(&self) -> bool {
-        false
     }
 }
 

@@ -1,6 +1,7 @@
 //! Messages of the host to protocol and controller.
 
 use super::board::SAVE_INTERVAL_US;
+use super::controller::Arrived;
 use super::mailbox::{Order, Upload};
 use super::protocol::Received;
 use super::{Clock, LocalSensor, Mailboxes, Session};
@@ -28,12 +29,14 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             match self.protocol.receive(byte) {
                 None => {}
                 Some(Received::Message(sequence, HostMessage::Sample(sample))) => {
-                    let mailbox = &mut mailboxes.learner;
-                    let (missed, clock) = (self.protocol.counters.missed, &self.board.clock);
-                    let tick = self
-                        .controller
-                        .sample(sequence, sample, missed, mailbox, clock, sensor);
-                    if let Some(tick) = tick {
+                    let (mailbox, clock) = (&mut mailboxes.learner, &self.board.clock);
+                    let missed = self.protocol.counters.missed;
+                    let arrived = Arrived {
+                        sequence,
+                        sample,
+                        missed,
+                    };
+                    if let Some(tick) = self.controller.sample(arrived, mailbox, clock, sensor) {
                         self.send_tick(&tick, mailbox, out);
                     }
                 }
@@ -154,20 +157,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 board.sustains(controller.configuration.period_us)?;
                 controller.safety.arm().map_err(NackReason::Unsafe)?;
             }
-            HostMessage::Disarm => {
-                controller.safety.disarm();
-            }
-            HostMessage::Stop => {
-                controller.stop(mailbox);
-            }
+            HostMessage::Disarm => controller.safety.disarm(),
+            HostMessage::Stop => controller.stop(mailbox),
             HostMessage::ClearFault => {
                 board.sound()?;
-                let cleared = controller.safety.clear();
-                cleared.map_err(NackReason::Unsafe)?;
+                controller.safety.clear().map_err(NackReason::Unsafe)?;
             }
-            HostMessage::Request { code } => {
-                controller.request(code, mailbox)?;
-            }
+            HostMessage::Request { code } => controller.request(code, mailbox)?,
             HostMessage::Save => {
                 controller.writable()?;
                 if board.require(Capabilities::TIMER).is_ok() {

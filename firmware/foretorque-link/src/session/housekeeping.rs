@@ -146,7 +146,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
             return Err(NackReason::Checksum);
         }
         match &upload.signature {
-            Some(signature) if !signature.verifies(A::hash(), bytes) => Err(NackReason::Key),
+            Some(it) if !it.key.verifies(&it.mac, &it.nonce, A::hash(), bytes) => {
+                Err(NackReason::Key)
+            }
             _ => Ok(()),
         }
     }

@@ -15,7 +15,7 @@ struct Restart<const N: usize, const P: usize> {
     start: StartDeviations<N, P>,
 }
 
-/// Everything that the tick shares with tasks of lower priority; on a board the one locked resource.
+/// Everything that the tick shares with tasks of lower priority; on a board the one locked resource. Empty by default.
 ///
 /// Every lock is a copy at most, but the first after a restart was asked for: the learner starts over in it. No torque flows
 /// then. The learner's task is
@@ -44,17 +44,8 @@ pub struct Mailboxes<const N: usize, const P: usize> {
     pub parameters: ParameterMailbox<N, P>,
 }
 
-impl<const N: usize, const P: usize> Mailboxes<N, P> {
-    /// Empty mailboxes.
-    pub const fn new() -> Self {
-        Self {
-            learner: LearnerMailbox::new(),
-            parameters: ParameterMailbox::new(),
-        }
-    }
-}
-
 /// Mailbox between tick and learner: learning samples one way, learnt sets the other.
+#[derive(Default)]
 pub struct LearnerMailbox<const N: usize, const P: usize> {
     samples: Queue<LearningSample<N>, 16>,
     /// Sets on their way between tick and learner.
@@ -67,18 +58,6 @@ pub struct LearnerMailbox<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
-    /// An empty mailbox.
-    pub const fn new() -> Self {
-        Self {
-            samples: Queue::new(),
-            exchange: Exchange::new(),
-            restart: None,
-            held: false,
-            samples_lost: 0,
-            learn_cost: CostMeter::new(),
-        }
-    }
-
     /// Learning samples waiting.
     pub fn waiting(&self) -> usize {
         self.samples.len()
@@ -104,23 +83,17 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
 
     pub(super) fn reset_counters(&mut self) {
         self.samples_lost = 0;
-        self.learn_cost = CostMeter::new();
+        self.learn_cost = CostMeter::default();
     }
 
     /// Restarts the learner as asked. A function of its own: its stack is not that of a learning step.
     #[inline(never)]
     fn restart_learner<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) {
-        let Some(Restart {
-            period_s,
-            set,
-            start,
-        }) = self.restart.take()
-        else {
-            return;
-        };
-        // The learner accepts every period that the session accepts. If it refused one, it would learn nothing: the samples
-        // that follow do not belong to its set.
-        let _ = learner.restart_for_arm(period_s, &set, &start);
+        if let Some(restart) = self.restart.take() {
+            // The learner accepts every period that the session accepts. If it refused one, it would learn nothing: the
+            // samples that follow do not belong to its set.
+            let _ = learner.restart_for_arm(restart.period_s, &restart.set, &restart.start);
+        }
     }
 
     /// The next learning sample; before it, the learner takes over a request, one copy at most, or starts over.
@@ -179,12 +152,6 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     }
 }
 
-impl<const N: usize, const P: usize> Default for LearnerMailbox<N, P> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 /// An upload as its last frame announces it.
 #[derive(Clone, Copy)]
 pub(super) struct Upload {
@@ -231,17 +198,6 @@ pub struct ParameterMailbox<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> ParameterMailbox<N, P> {
-    /// Without an order.
-    pub const fn new() -> Self {
-        Self {
-            phase: Phase::Free,
-            order: Order::Read,
-            requester: 0,
-            transfer: Transfer::new(),
-            parameters: Parameters::zero(),
-        }
-    }
-
     /// Accepts an order of frame `requester`.
     ///
     /// Errors: [`NackReason::Busy`] until the order before is answered.
@@ -314,7 +270,14 @@ impl<const N: usize, const P: usize> ParameterMailbox<N, P> {
 }
 
 impl<const N: usize, const P: usize> Default for ParameterMailbox<N, P> {
+    /// Without an order.
     fn default() -> Self {
-        Self::new()
+        Self {
+            phase: Phase::Free,
+            order: Order::Read,
+            requester: 0,
+            transfer: Transfer::new(),
+            parameters: Parameters::zero(),
+        }
     }
 }

@@ -38,7 +38,7 @@ use protocol::{Instant, Protocol};
 /// use foretorque_link::session::{BoardDescription, Mailboxes, NoClock, NoLocalSensor, Session};
 /// use foretorque_link::wire::{FrameBuffer, HostMessage};
 /// let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))?;
-/// let (mut mailboxes, mut request, mut reply) = (Mailboxes::new(), FrameBuffer::new(), FrameBuffer::new());
+/// let (mut mailboxes, mut request, mut reply) = (Mailboxes::default(), FrameBuffer::new(), FrameBuffer::new());
 /// request.push(1, &HostMessage::<6>::Hello)?;
 /// session.receive(request.as_bytes(), &mut mailboxes, &mut reply, &mut NoLocalSensor);
 /// assert_eq!(reply.as_bytes().last(), Some(&0));
@@ -80,7 +80,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         Self {
             controller: Controller::new(feed_forward, board.first_fault()),
             board,
-            protocol: Protocol::new(),
+            protocol: Protocol::default(),
             boot_counts: 0,
             reboot: false,
             rested_us,

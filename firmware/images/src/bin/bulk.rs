@@ -42,7 +42,7 @@ mod run {
         let housekeeping =
             cortex_m::singleton!(: Housekeeping<Arm, JOINTS, PARAMETERS> = Housekeeping::empty())?;
         housekeeping.start(None);
-        let mut mailboxes = Mailboxes::new();
+        let mut mailboxes = Mailboxes::default();
         let mut out = FrameBuffer::new();
         let mut buffer = [0u8; 1024];
 

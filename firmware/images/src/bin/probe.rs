@@ -44,7 +44,7 @@ mod proof {
         let set = black_box(session.feed_forward().state().active);
         let mut learner: Learner<Arm, _, _> =
             Learner::new(LearnerConfig::for_arm::<Arm>(black_box(1e-3)), set).ok()?;
-        let mut mailboxes = black_box(Mailboxes::new());
+        let mut mailboxes = black_box(Mailboxes::default());
         let mut housekeeping: Housekeeping<Arm, JOINTS, PARAMETERS> = Housekeeping::new(None);
         let mut out = black_box(FrameBuffer::new());
         let mut bytes = black_box([0u8; 64]);

@@ -157,7 +157,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Native<A, 
         let mut native = Self {
             arm: A::model(),
             session,
-            mailboxes: Mailboxes::new(),
+            mailboxes: Mailboxes::default(),
             housekeeping: Housekeeping::new(None),
             learner: Learner::new(LearnerConfig::for_arm::<A>(period_s), set)?,
             out: FrameBuffer::new(),

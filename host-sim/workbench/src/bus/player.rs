@@ -75,7 +75,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             controller,
             network,
             learner,
-            mailbox: LearnerMailbox::new(),
+            mailbox: LearnerMailbox::default(),
             jitter: Jitter::default(),
         })
     }

@@ -138,7 +138,7 @@ pub fn start<B: Board>(
     let Ok(session) = BoardSession::init_in_place(&mut statics.session, description) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
-    let mailboxes = statics.mailboxes.write(BoardMailboxes::new());
+    let mailboxes = statics.mailboxes.write(BoardMailboxes::default());
     let housekeeping = &mut statics.housekeeping;
     housekeeping.start(Some(Store::new(StoreFlash::new(Registers(chip.FLASH)))));
     let stored = session.boot_from(housekeeping, mailboxes);
@@ -190,7 +190,7 @@ pub fn start<B: Board>(
             kept,
             losses: 0,
             bound: FrameBound::default(),
-            latency: CostMeter::new(),
+            latency: CostMeter::default(),
         },
         learner,
         idle: Idle {

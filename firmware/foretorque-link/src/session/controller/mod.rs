@@ -62,11 +62,12 @@ pub(super) struct TickCounters {
 /// The tick's slew limit is half of the hard one, so two sound ticks in a period are within that.
 const MAX_CREDIT: u8 = 2;
 
-struct Arrived<const N: usize> {
-    sequence: u16,
-    sample: SampleFrame<N>,
+/// A sample of the host.
+pub(super) struct Arrived<const N: usize> {
+    pub(super) sequence: u16,
+    pub(super) sample: SampleFrame<N>,
     /// Frames of any kind that the link had missed by then.
-    missed: u32,
+    pub(super) missed: u32,
 }
 
 /// State of one board's torque: parameters, player, safety, and what the ticks have seen of the samples.
@@ -122,7 +123,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             credit: None,
             ticked: false,
             flowed: false,
-            gaps: SampleGaps::new(),
+            gaps: SampleGaps::default(),
             last_sequence: 0,
             temperatures_c: [SampleFrame::<N>::NO_TEMPERATURE; N],
             counters: TickCounters::default(),
@@ -131,19 +132,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
 
     /// Takes a sample: runs the tick where samples pace the board, keeps the sample for the timer otherwise, and where more
     /// samples arrive than periods pass.
-    ///
-    /// * `missed` frames of any kind that the link has missed so far
     pub(super) fn sample<S: LocalSensor<N>>(
         &mut self,
-        sequence: u16,
-        sample: SampleFrame<N>,
-        missed: u32,
+        arrived: Arrived<N>,
         mailbox: &mut LearnerMailbox<N, P>,
         clock: &impl Clock,
         sensor: &mut S,
     ) -> Option<TickResult<N>> {
-        let joint = usize::from(sample.flags.period()) % N;
-        self.note_temperature(joint, sample.temperature_c);
+        let joint = usize::from(arrived.sample.flags.period()) % N;
+        self.note_temperature(joint, arrived.sample.temperature_c);
         let runs = self.configuration.pacing == Pacing::Link
             && match &mut self.credit {
                 None => {
@@ -156,11 +153,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
                     true
                 }
             };
-        let arrived = Arrived {
-            sequence,
-            sample,
-            missed,
-        };
         if runs {
             return Some(self.tick(Some(arrived), mailbox, clock, sensor));
         }
@@ -329,8 +321,9 @@ impl Gap {
 }
 
 /// Gaps in the host's numbers of its periods, where samples pace the board and no tick runs without one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct SampleGaps {
+    /// Number of the last sample; nothing was lost before the first.
     last: Option<u8>,
     /// The link's count of missed frames at that sample.
     missed: u32,
@@ -339,15 +332,6 @@ pub(super) struct SampleGaps {
 }
 
 impl SampleGaps {
-    /// Before the first sample; nothing was lost before it.
-    const fn new() -> Self {
-        Self {
-            last: None,
-            missed: 0,
-            interrupted: false,
-        }
-    }
-
     /// Another host may be sending now.
     pub(super) fn interrupt(&mut self) {
         self.interrupted = true;
@@ -399,7 +383,7 @@ mod tests {
     }
 
     fn lost(samples: &[(u8, u32)]) -> std::vec::Vec<u32> {
-        let mut gaps = SampleGaps::new();
+        let mut gaps = SampleGaps::default();
         let lost = |&(period, missed)| gaps.take(flags(period), missed).lost;
         samples.iter().map(lost).collect()
     }
@@ -421,7 +405,7 @@ mod tests {
         assert_eq!(lost(&[(1, 0), (8, 6), (7, 6)]), [0, MAX_FILLED, MAX_FILLED]);
         assert_eq!(lost(&[(1, 0), (2, 31), (3, 31)]), [0, MAX_FILLED, 0]);
         assert_eq!(lost(&[(1, 0), (2, 30), (3, 30)]), [0, 0, 0]);
-        let mut gaps = SampleGaps::new();
+        let mut gaps = SampleGaps::default();
         gaps.interrupt();
         assert_eq!(gaps.take(flags(1), 0).lost, 0, "there was nothing before");
         gaps.interrupt();
@@ -431,7 +415,7 @@ mod tests {
 
     #[test]
     fn periods_are_those_of_the_samples_own_numbers() {
-        let mut gaps = SampleGaps::new();
+        let mut gaps = SampleGaps::default();
         let mut take = |period, missed| {
             let gap = gaps.take(flags(period), missed);
             (gap.counted, gap.most)

@@ -115,7 +115,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             .restart(limits.with_brake(close_us, configuration.period_us));
         self.newest = None;
         self.ticked = false;
-        self.gaps = SampleGaps::new();
+        self.gaps = SampleGaps::default();
         mailbox.restart(period_s, set, self.start);
         Ok(())
     }

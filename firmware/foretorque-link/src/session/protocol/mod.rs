@@ -23,6 +23,7 @@ pub(super) enum Received<const N: usize> {
 }
 
 /// State of one link: decoder, sequence numbers, counters, telemetry.
+#[derive(Default)]
 pub(super) struct Protocol {
     decoder: Decoder,
     /// Counters of the link, and those of the owner of the session. The others are elsewhere, and zero here.
@@ -38,18 +39,6 @@ pub(super) struct Protocol {
 }
 
 impl Protocol {
-    pub(super) fn new() -> Self {
-        Self {
-            decoder: Decoder::new(),
-            counters: Statistics::default(),
-            last: None,
-            stream: Stream::new(),
-            challenge: None,
-            challenges: 0,
-            permission: None,
-        }
-    }
-
     /// Resets counters and telemetry; the sequence continues.
     pub(super) fn reset(&mut self) {
         self.decoder = Decoder::new();
@@ -200,12 +189,6 @@ pub(super) struct Signature {
     pub(super) mac: [u8; MAC_BYTES],
 }
 
-impl Signature {
-    pub(super) fn verifies(&self, arm_hash: u32, bytes: &[u8]) -> bool {
-        self.key.verifies(&self.mac, &self.nonce, arm_hash, bytes)
-    }
-}
-
 /// A parameter bank on its way up or down, or an excitation on its way up, in one buffer.
 pub(super) struct Transfer {
     bytes: [u8; ParameterBank::MAX_BYTES],
@@ -306,7 +289,7 @@ mod tests {
             (&[65535, 1, 65535, 2], (0, 1)),
             (&[30_000, 100], (35_634, 0)),
         ] {
-            let mut link = Protocol::new();
+            let mut link = Protocol::default();
             for &number in numbers {
                 link.accept(number, false);
             }
@@ -331,8 +314,8 @@ mod tests {
 
     #[test]
     fn hello_restarts_the_count() {
-        let mut link = Protocol::new();
-        link.last = Some(500);
+        let mut link = Protocol::default();
+        assert!(link.accept(500, false));
         assert!(link.accept(498, true) && link.accept(499, false));
         assert_eq!((link.counters.missed, link.counters.repeated), (0, 0));
     }

@@ -22,6 +22,7 @@ pub(in crate::session) struct Instant<'t, const N: usize> {
 }
 
 /// One stream, and the record that is being sent.
+#[derive(Default)]
 pub(in crate::session) struct Stream {
     fields: u16,
     every: u16,
@@ -36,19 +37,6 @@ pub(in crate::session) struct Stream {
 }
 
 impl Stream {
-    pub(super) const fn new() -> Self {
-        Self {
-            fields: 0,
-            every: 1,
-            allowance: 0,
-            tick: 0,
-            unsent: 0,
-            record: Vec::new(),
-            sent: 0,
-            lost: 0,
-        }
-    }
-
     /// Records that were not sent whole: the reply buffer was full, or the next record came first.
     pub(in crate::session) fn lost(&self) -> u32 {
         self.lost
@@ -57,7 +45,7 @@ impl Stream {
     pub(in crate::session) fn end(&mut self) {
         *self = Self {
             lost: self.lost,
-            ..Self::new()
+            ..Self::default()
         };
     }
 

@@ -78,7 +78,7 @@ impl Bus {
         in_line.set(&[1.0; JOINTS], 0);
         let bus = place.write(Self {
             controller: BusController::new(config, &Parameters::nominal::<Ur5>()).ok()?,
-            mailbox: LearnerMailbox::new(),
+            mailbox: LearnerMailbox::default(),
             replies: [a, b, c, d, e, f],
             bridge: Bridge::new(
                 [Mailbox::default(), Mailbox::default()],

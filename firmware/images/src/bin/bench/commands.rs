@@ -36,7 +36,7 @@ impl Link {
         });
         Some(place.write(Self {
             session: session.ok()?,
-            mailboxes: Mailboxes::new(),
+            mailboxes: Mailboxes::default(),
             housekeeping: Housekeeping::new(None),
             frame: FrameBuffer::new(),
             out: FrameBuffer::new(),
