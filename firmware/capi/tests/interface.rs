@@ -28,20 +28,12 @@ impl Program {
     fn new() -> Self {
         let mut memory = vec![MaybeUninit::uninit(); foretorque_size().div_ceil(8)];
         let mut it = ptr::null_mut();
+        let (place, size) = (memory.as_mut_ptr().cast(), 8 * memory.len());
         // SAFETY: the memory is large enough, aligned and outlives the program.
-        let made = unsafe {
-            foretorque_init(
-                memory.as_mut_ptr().cast(),
-                8 * memory.len(),
-                1e-3,
-                &raw mut it,
-            )
-        };
+        let made = unsafe { foretorque_init(place, size, 1e-3, &raw mut it) };
         assert_eq!(made, ForetorqueStatus::Ok);
-        Self {
-            it,
-            _memory: memory,
-        }
+        let _memory = memory;
+        Self { it, _memory }
     }
 
     /// One tick with a still sample, or with none.
@@ -132,11 +124,38 @@ impl Program {
         self.written(foretorque_safety)
     }
 
+    /// Decision `number`, where it is made and kept.
+    fn decision(&self, number: u32) -> Option<ForetorqueDecision> {
+        let mut out = MaybeUninit::uninit();
+        // SAFETY: `it` lives; written before it is read.
+        unsafe {
+            match foretorque_decision(self.it, number, out.as_mut_ptr()) {
+                ForetorqueStatus::Ok => Some(out.assume_init()),
+                status => {
+                    assert_eq!(status, ForetorqueStatus::NoDecision);
+                    None
+                }
+            }
+        }
+    }
+
+    /// The newest decision for `reason`.
+    fn decided(&self, reason: Reason) -> Option<ForetorqueDecision> {
+        let made = (0..self.written(foretorque_quality).decisions).rev();
+        let mut kept = made.filter_map(|number| self.decision(number));
+        kept.find(|decision| decision.reason == reason as u8)
+    }
+
+    /// Arms, and lets the torque come.
+    fn start(&mut self) {
+        (0..3).for_each(|_| _ = self.tick(Some(0.0), 1));
+        assert_eq!(self.arm(), SafetyReason::None);
+        (0..40).for_each(|_| _ = self.tick(Some(0.0), 255));
+    }
+
     fn armed() -> Self {
         let mut program = Self::new();
-        (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
-        assert_eq!(program.arm(), SafetyReason::None);
-        (0..40).for_each(|_| _ = program.tick(Some(0.0), 255));
+        program.start();
         program
     }
 }
@@ -198,9 +217,7 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
         let mut reason = 255;
         assert_eq!(foretorque_clear_fault(program.it, &raw mut reason), Ok);
         assert_eq!(foretorque_set_brake(program.it, 100_000), Ok);
-        (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
-        assert_eq!(program.arm(), SafetyReason::None);
-        (0..40).for_each(|_| _ = program.tick(Some(0.0), 1));
+        program.start();
         assert_eq!(program.safety().brake_released, 1);
         foretorque_disarm(program.it);
         let mut held = 0;
@@ -283,23 +300,14 @@ fn an_emergency_stop_replaces_a_request_that_waits() {
             foretorque_stop(it, reason);
         }
         (0..100).for_each(|tick| program.swing(tick));
-        let made = program.written(foretorque_quality).decisions;
-        let snapshot = (0..made).any(|number| {
-            let mut out = MaybeUninit::<ForetorqueDecision>::uninit();
-            // SAFETY: `it` lives; written before it is read.
-            unsafe {
-                let status = foretorque_decision(it, number, out.as_mut_ptr());
-                status == ForetorqueStatus::Ok
-                    && out.assume_init().reason == Reason::SnapshotTaken as u8
-            }
-        });
-        assert_eq!(snapshot, taken, "reason {reason}");
+        let snapshot = program.decided(Reason::SnapshotTaken);
+        assert_eq!(snapshot.is_some(), taken, "reason {reason}");
     }
 }
 
 #[test]
 fn the_learner_reports_its_state_and_takes_requests() {
-    use ForetorqueStatus::{NoDecision, Null, Ok, Pending, Request};
+    use ForetorqueStatus::{Null, Ok, Pending, Request};
     let mut program = Program::new();
     let fresh = program.written(foretorque_quality);
     assert_eq!(
@@ -327,25 +335,11 @@ fn the_learner_reports_its_state_and_takes_requests() {
     }
     let quality = program.written(foretorque_quality);
     assert!(quality.residual_rms[1] > 0.0 && quality.information > 0.0);
-    let read = |number| {
-        let mut out = MaybeUninit::uninit();
-        // SAFETY: `it` lives; written before it is read.
-        unsafe {
-            match foretorque_decision(it, number, out.as_mut_ptr()) {
-                Ok => Some(out.assume_init()),
-                status => {
-                    assert_eq!(status, NoDecision);
-                    None
-                }
-            }
-        }
-    };
-    let made: Vec<_> = (0..quality.decisions).filter_map(read).collect();
     for reason in [Reason::SnapshotTaken, Reason::RolledBack] {
-        let made = made.iter().find(|made| made.reason == reason as u8);
-        assert_eq!(made.map(|made| made.joint), Some(255), "{reason:?}");
+        let joint = program.decided(reason).map(|made| made.joint);
+        assert_eq!(joint, Some(255), "{reason:?}");
     }
-    assert!(read(quality.decisions).is_none());
+    assert!(program.decision(quality.decisions).is_none());
     // SAFETY: null is what is tried.
     assert_eq!(unsafe { foretorque_decision(it, 0, ptr::null_mut()) }, Null);
 }
@@ -385,8 +379,7 @@ fn native() -> Vec<String> {
     let mut torque = ForetorqueTorque::default();
     let mut numbers = Numbers(1);
     let mut lines = Vec::new();
-    let (mut bank, mut length) = ([0_u8; FORETORQUE_BANK_BYTES], 0);
-    // SAFETY: `it` lives; every other pointer is to a variable above.
+    // SAFETY: `it` lives; every other pointer is to a variable.
     unsafe {
         foretorque_set_learning(it, 1);
         for tick in 0..TICKS {
@@ -398,9 +391,8 @@ fn native() -> Vec<String> {
             foretorque_learn(it);
         }
         foretorque_set_learning(it, 0);
-        let saved = foretorque_save_bank(it, bank.as_mut_ptr(), bank.len(), &raw mut length);
-        assert_eq!(saved, ForetorqueStatus::Ok);
-        let loaded = foretorque_load_bank(it, bank.as_ptr(), length);
+        let bank = program.bank();
+        let loaded = foretorque_load_bank(it, bank.as_ptr(), bank.len());
         assert_eq!(loaded, ForetorqueStatus::Ok);
         foretorque_step(it, &raw const sample, &raw mut torque);
     }

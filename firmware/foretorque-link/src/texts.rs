@@ -11,7 +11,7 @@ macro_rules! errors {
                 $(#[$of:meta])*
                 $variant:ident
                     $(of $joint:ident)?
-                    $(($item:ident: $(#[$wire:meta])* $type:ty))?
+                    $(($($item:ident: $(#[$wire:meta])* $type:ty),+))?
                     $({ $(#[$inside:meta])* $field:ident: $number:ident $(; 0 = $none:literal)? })?
                     = $text:literal;
             )*
@@ -24,7 +24,7 @@ macro_rules! errors {
                 $(#[$of])*
                 $variant
                     $((errors!(@number $joint)))?
-                    $(($(#[$wire])* $type))?
+                    $(($($(#[$wire])* $type),+))?
                     $({ $(#[$inside])* $field: $number })?,
             )*
         }
@@ -34,7 +34,7 @@ macro_rules! errors {
                 match self {
                     $(
                         $($(Self::$variant { $field: 0 } => f.write_str($none),)?)?
-                        Self::$variant $(($joint))? $(($item))? $({ $field })? => {
+                        Self::$variant $(($joint))? $(($($item),+))? $({ $field })? => {
                             $(let $joint = u16::from(*$joint) + 1;)?
                             write!(f, $text)
                         }

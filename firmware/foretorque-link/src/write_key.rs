@@ -142,7 +142,7 @@ mod tests {
     /// b"foretorque upload 1" + bytes(range(16)) + bytes([4,3,2,1,4,0,0,0]) + b"bank".
     #[test]
     fn signatures_are_those_of_another_implementation() {
-        let hex = |bytes: [u8; MAC_BYTES]| std::format!("{:032x}", u128::from_be_bytes(bytes));
+        let hex = |bytes: [u8; MAC_BYTES]| format!("{:032x}", u128::from_be_bytes(bytes));
         let counted = WriteKey(core::array::from_fn(|place| place as u8));
         let of_nothing = counted.code().finish128().as_bytes();
         assert_eq!(hex(of_nothing), "a3817f04ba25a8e66df67214c7550293");
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn challenges_differ_in_count_and_seed() {
-        let mut seen = std::vec::Vec::new();
+        let mut seen = Vec::new();
         for seed in 0..20 {
             for count in 0..20 {
                 seen.push(key().challenge(&[seed; MAC_BYTES], count));

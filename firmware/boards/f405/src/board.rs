@@ -4,8 +4,10 @@
 use core::marker::PhantomData;
 
 use embedded_hal::digital::{ErrorType, OutputPin};
+use foretorque::joint::JointSample;
 use foretorque_link::hal::TorqueEnable;
-use foretorque_link::session::{LocalSensor, NoLocalSensor};
+use foretorque_link::safety::SafetyReason;
+use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::gpio::{PA2, PA3};
 use stm32f4xx_hal::pac::{GPIOA, GPIOB, GPIOC};
 use stm32f4xx_hal::rcc::Rcc;
@@ -34,11 +36,8 @@ pub trait Board: Send + 'static {
     fn start_pins(ports: Ports, rcc: &mut Rcc);
 }
 
-/// Hardware that the board drives itself, called by the tick's task.
-pub trait Drive: Sized + Send {
-    /// Sensor of the own joint.
-    type Own: LocalSensor<JOINTS>;
-
+/// Hardware that the board drives itself, and the sensor of its own joint; called by the tick's task.
+pub trait Drive: LocalSensor<JOINTS> + Sized + Send {
     /// Everything off, no torque commanded. `None` if a constant of the board cannot work.
     fn start(clocks: &Clocks) -> Option<Self>;
 
@@ -49,9 +48,6 @@ pub trait Drive: Sized + Send {
 
     /// Take the reports of drives on a bus, and pass faults of stage and encoder to the session; before each tick.
     fn watch(&mut self, session: &mut BoardSession);
-
-    /// Sensor of the own joint.
-    fn own(&mut self) -> &mut Self::Own;
 
     /// After a tick: enable and torque command follow the session.
     fn follow(&mut self, session: &mut BoardSession);
@@ -152,29 +148,25 @@ pub(crate) fn switch<B: Board>(enable: &mut TorqueEnable<EnablePin<B>>, on: bool
 /// The enable pin; torque is put out by whoever reads the replies, and measured there.
 pub struct EnableOnly<B: Board> {
     enable: TorqueEnable<EnablePin<B>>,
-    measures: NoLocalSensor,
+}
+
+impl<B: Board> LocalSensor<JOINTS> for EnableOnly<B> {
+    #[inline(always)]
+    fn measure(&mut self, _: &mut Option<JointSample<JOINTS>>, _: bool) -> SafetyReason {
+        SafetyReason::None
+    }
 }
 
 impl<B: Board> Drive for EnableOnly<B> {
-    type Own = NoLocalSensor;
-
     #[inline(always)]
     fn start(_: &Clocks) -> Option<Self> {
         // Switched off by its constructor; only a session that a host has armed switches it on.
         let Ok(enable) = TorqueEnable::new(EnablePin::default());
-        Some(Self {
-            enable,
-            measures: NoLocalSensor,
-        })
+        Some(Self { enable })
     }
 
     #[inline(always)]
     fn watch(&mut self, _: &mut BoardSession) {}
-
-    #[inline(always)]
-    fn own(&mut self) -> &mut NoLocalSensor {
-        &mut self.measures
-    }
 
     #[inline(always)]
     fn follow(&mut self, session: &mut BoardSession) {

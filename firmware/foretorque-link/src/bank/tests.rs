@@ -5,8 +5,6 @@ use foretorque::dynamics::{FRICTION_COLUMNS, FrictionColumn, FrictionParameters}
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::learning::ParameterSet;
 use proptest::prelude::*;
-use std::format;
-use std::string::ToString;
 use std::vec::Vec as List;
 
 const N: usize = 6;

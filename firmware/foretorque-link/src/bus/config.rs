@@ -222,7 +222,6 @@ mod tests {
     use crate::bus::{BusConfig, BusController};
     use crate::drives::{Moteus, Protocol, Ranges, Resolution};
     use foretorque::arm::ur5::Ur5;
-    use std::string::ToString as _;
 
     #[test]
     fn limits_of_the_parameters_are_those_of_the_drives() {

@@ -43,33 +43,31 @@ pub const FOLLOWING_RAD: f32 = 0.3;
 /// Change of the desired position during which a reply that repeats itself counts as stuck, rad.
 pub const STUCK_RAD: f32 = 0.05;
 
-/// Cause of a fault of the bus.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum FaultCause {
-    /// No reply within [`SILENCE_S`].
-    Silent,
-    /// Fault code of the drive.
-    Drive(u32),
-    /// The drive is switched off without an order: it has reset, or its watchdog has ended.
-    Disabled,
-    /// The drive does not report that it is enabled.
-    NotEnabled,
-    /// A scale of the drive differs from the profile: scale, of the profile, of the drive.
-    Scale(Scale, f32, f32),
-    /// The drive has not reported a scale that its protocol can report.
-    ScaleUnknown(Scale),
-    /// Measured and desired position, rad, differ by more than [`FOLLOWING_RAD`].
-    NotFollowing(f32, f32),
-    /// The reply repeats itself while the desired position moves.
-    Stuck,
-    /// Replies of one period contradict each other: positions, rad. Two drives have one identifier.
-    Ambiguous(f32, f32),
-    /// More than one period in five lacks a reply: the bus is overloaded or disturbed.
-    Losses,
-    /// The bus is off.
-    BusOff,
-    /// The drives are ready, and torque may not flow.
-    Refused(SafetyReason),
+errors! {
+    /// Cause of a fault of the bus.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum FaultCause {
+        /// (Within [`SILENCE_S`].)
+        Silent = "the drive does not answer";
+        Drive(code: u32) = "the drive reports fault {code:#x}";
+        /// (Without an order: it has reset, or its watchdog has ended.)
+        Disabled = "the drive has switched itself off";
+        NotEnabled = "the drive does not switch on";
+        Scale(scale: Scale, profile: f32, drive: f32) = "{scale} is {profile} in the profile, {drive} in the drive";
+        /// (Its protocol can.)
+        ScaleUnknown(scale: Scale) = "the drive does not report {scale}";
+        /// (More than [`FOLLOWING_RAD`] apart.)
+        NotFollowing(desired: f32, measured: f32) = "desired position {desired:.3} rad, measured {measured:.3} rad";
+        /// (While the desired position moves.)
+        Stuck = "the reply of the drive repeats itself";
+        Ambiguous(one: f32, other: f32) =
+            "two replies in one period, {one:.3} rad and {other:.3} rad: is the identifier used twice?";
+        /// (It is overloaded or disturbed.)
+        Losses = "the bus loses more than one period in five";
+        BusOff = "the bus is off";
+        /// (The drives are ready.)
+        Refused(reason: SafetyReason) = "torque may not flow: {reason}";
+    }
 }
 
 /// Fault of the bus, or of the drive of one joint.
@@ -93,43 +91,7 @@ impl fmt::Display for BusFault {
         if let Some(joint) = self.joint {
             write!(f, "joint {}: ", joint + 1)?;
         }
-        match self.cause {
-            FaultCause::Silent => f.write_str("the drive does not answer"),
-            FaultCause::Drive(code) => write!(f, "the drive reports fault {code:#x}"),
-            FaultCause::Disabled => f.write_str("the drive has switched itself off"),
-            FaultCause::NotEnabled => f.write_str("the drive does not switch on"),
-            FaultCause::Scale(scale, profile, drive) => {
-                let name = scale_name(scale);
-                write!(
-                    f,
-                    "{name} is {profile} in the profile, {drive} in the drive"
-                )
-            }
-            FaultCause::ScaleUnknown(scale) => {
-                write!(f, "the drive does not report {}", scale_name(scale))
-            }
-            FaultCause::NotFollowing(desired, measured) => write!(
-                f,
-                "desired position {desired:.3} rad, measured {measured:.3} rad"
-            ),
-            FaultCause::Stuck => f.write_str("the reply of the drive repeats itself"),
-            FaultCause::Ambiguous(one, other) => write!(
-                f,
-                "two replies in one period, {one:.3} rad and {other:.3} rad: is the identifier used twice?"
-            ),
-            FaultCause::Losses => f.write_str("the bus loses more than one period in five"),
-            FaultCause::BusOff => f.write_str("the bus is off"),
-            FaultCause::Refused(reason) => write!(f, "torque may not flow: {reason}"),
-        }
-    }
-}
-
-/// Name of a scale, as fields of a profile are called.
-const fn scale_name(scale: Scale) -> &'static str {
-    match scale {
-        Scale::Position => "range of position",
-        Scale::Velocity => "range of velocity",
-        Scale::Torque => "scale of torque",
+        write!(f, "{}", self.cause)
     }
 }
 

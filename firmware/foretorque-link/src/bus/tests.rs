@@ -8,7 +8,6 @@ use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Sessi
 use crate::wire::{Configuration, FrameBuffer, HostMessage, SampleFrame};
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
-use std::vec::Vec;
 
 type Controller = BusController<Ur5, 6, 40>;
 
@@ -394,7 +393,7 @@ impl Board {
             measured: None,
         });
         for k in 1..=periods {
-            let mut messages = std::vec![HostMessage::Sample(still.in_period(k as u8 % 32))];
+            let mut messages = vec![HostMessage::Sample(still.in_period(k as u8 % 32))];
             if k == periods {
                 messages.extend_from_slice(orders);
             }

@@ -21,6 +21,7 @@ mod odrive;
 mod profile;
 pub mod text;
 
+use core::fmt;
 pub use frame::{Carry, Frame, Saturation};
 pub use profile::{
     Cia402, Contradiction, ControlMode, DriveProfile, Moteus, Odrive, Protocol, Ranges, Resolution,
@@ -108,6 +109,17 @@ pub enum Scale {
     /// Damiao: T_MAX, N·m. CyberGear and RobStride: `limit_torque`, N·m. ODrive: `input_torque_scale`, counts per N·m.
     /// CiA 402: rated torque, N·m.
     Torque,
+}
+
+impl fmt::Display for Scale {
+    /// Name of its field in a profile.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Position => "range of position",
+            Self::Velocity => "range of velocity",
+            Self::Torque => "scale of torque",
+        })
+    }
 }
 
 /// Content of a frame from a drive.

@@ -287,9 +287,7 @@ fn check_point<const N: usize>(
     };
     let joints = program.joints.iter().zip(&program.certificate);
     for (joint, (coefficients, bounds)) in joints.enumerate() {
-        let [q_more, qd_more, qdd_more] = between(coefficients);
-        let kept = inside(&motion, joint, bounds, [q_more, qd_more, qdd_more]);
-        if !kept {
+        if !inside(&motion, joint, bounds, between(coefficients)) {
             return Err(ExcitationError::CertificateBroken(joint as u8));
         }
     }

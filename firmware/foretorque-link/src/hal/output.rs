@@ -30,14 +30,10 @@ errors! {
 
 /// `level` inside ±1; 0 for NaN.
 fn bounded(level: f32) -> f32 {
-    if level >= 1.0 {
-        1.0
-    } else if level <= -1.0 {
-        -1.0
-    } else if level.is_nan() {
+    if level.is_nan() {
         0.0
     } else {
-        level
+        level.clamp(-1.0, 1.0)
     }
 }
 

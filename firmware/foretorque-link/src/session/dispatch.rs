@@ -207,8 +207,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 self.reboot = true;
             }
             HostMessage::Excitation(command) => {
-                let state = controller.excite(command)?;
-                return Ok(Some(BoardMessage::Excitation(state)));
+                let player = &mut controller.player;
+                player.command(command).map_err(NackReason::Excitation)?;
+                return Ok(Some(BoardMessage::Excitation(player.state())));
             }
         }
         Ok(Some(BoardMessage::Ack))

@@ -1,7 +1,7 @@
 use super::Clock;
 use super::protocol::{Signature, Transfer};
 use crate::bank::Parameters;
-use crate::telemetry::{Cost, CostMeter};
+use crate::telemetry::CostMeter;
 use crate::wire::NackReason;
 use foretorque::arm::Arm;
 use foretorque::learning::{Exchange, Learner, LearningSample, ParameterSet, StartDeviations};
@@ -52,9 +52,9 @@ pub struct LearnerMailbox<const N: usize, const P: usize> {
     pub(crate) exchange: Exchange<N, P>,
     restart: Option<Restart<N, P>>,
     /// The reply of a tick waits for its learning step.
-    held: bool,
+    pub(super) held: bool,
     pub(super) samples_lost: u32,
-    learn_cost: CostMeter,
+    pub(super) learn_cost: CostMeter,
 }
 
 impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
@@ -71,14 +71,6 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     /// Called by the learner after its last sample; true when everything is learnt and a reply has waited for it.
     pub fn release_reply(&mut self) -> bool {
         self.samples.is_empty() && core::mem::take(&mut self.held)
-    }
-
-    pub(super) fn hold_reply(&mut self) {
-        self.held = true;
-    }
-
-    pub(super) fn learn_cost(&self) -> Cost {
-        self.learn_cost.cost()
     }
 
     pub(super) fn reset_counters(&mut self) {

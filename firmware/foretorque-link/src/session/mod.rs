@@ -200,17 +200,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         let ticks = &self.controller.counters;
         let temperatures = self.temperatures_c().iter().copied();
         Statistics {
-            bytes_lost: self.protocol.bytes_lost(),
+            bytes_lost: self.protocol.decoder.bytes_lost(),
             overtaken: ticks.overtaken,
             stale_ticks: ticks.stale,
             ticks: ticks.ticks,
             late_sets: self.feed_forward().state().late_sets,
             learning_samples_lost: mailbox.samples_lost,
             tick_cost: ticks.cost.cost(),
-            learn_cost: mailbox.learn_cost(),
+            learn_cost: mailbox.learn_cost.cost(),
             hottest_c: temperatures.fold(SampleFrame::<N>::NO_TEMPERATURE, i8::max),
             implausible: self.controller.safety.implausible(),
-            records_lost: self.protocol.stream.lost(),
+            records_lost: self.protocol.stream.lost,
             ..self.protocol.counters
         }
     }
@@ -259,7 +259,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             self.protocol.stream.record(&Instant {
                 tick,
                 report: &self.controller.feed_forward.state().report,
-                learn_cost: mailbox.learn_cost().mean,
+                learn_cost: mailbox.learn_cost.cost().mean,
                 losses: self.protocol.losses(),
                 temperatures_c: &self.controller.temperatures_c,
             });

@@ -109,7 +109,7 @@ impl<B: Board> Tick<B> {
         if tick_timer::take_due() {
             self.bound.refill(self.session.configuration().period_us);
             self.session
-                .timer_tick(mailboxes, self.out, self.drive.own());
+                .timer_tick(mailboxes, self.out, &mut self.drive);
         }
         self.session.poll_parameters(mailboxes, self.out);
         self.put_out(mailboxes, false);
@@ -125,7 +125,7 @@ impl<B: Board> Tick<B> {
             self.drive.watch(self.session);
             let bytes = frame.get(..count).unwrap_or_default();
             self.session
-                .receive(bytes, mailboxes, self.out, self.drive.own());
+                .receive(bytes, mailboxes, self.out, &mut self.drive);
             self.put_out(mailboxes, true);
         }
     }

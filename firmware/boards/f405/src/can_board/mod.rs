@@ -112,39 +112,34 @@ pub fn interrupt() {
 pub struct BusDrive {
     enable: TorqueEnable<EnablePin<CanBoard>>,
     /// `None` without a wiring in the flash.
-    drives: Sensor,
+    drives: Option<BoardDrives<Arm, JOINTS, PARAMETERS>>,
     /// That of the wiring, µs.
     shortest_period_us: u32,
     orders: Sender<LEAVING, Order>,
     arrived: Receiver<ARRIVED, (u8, Frame)>,
 }
 
-/// The drives as the session's sensor.
-pub struct Sensor(Option<BoardDrives<Arm, JOINTS, PARAMETERS>>);
-
-impl LocalSensor<JOINTS> for Sensor {
+impl LocalSensor<JOINTS> for BusDrive {
     #[inline(never)]
     fn measure(&mut self, sample: &mut Option<JointSample<JOINTS>>, at_rest: bool) -> SafetyReason {
-        match &mut self.0 {
+        match &mut self.drives {
             Some(drives) => drives.measure(sample, at_rest),
             None => SafetyReason::Drive,
         }
     }
 
     fn silence(&mut self) {
-        if let Some(drives) = &mut self.0 {
+        if let Some(drives) = &mut self.drives {
             drives.silence();
         }
     }
 
     fn holds(&self) -> bool {
-        self.0.as_ref().is_some_and(LocalSensor::holds)
+        self.drives.as_ref().is_some_and(LocalSensor::holds)
     }
 }
 
 impl Drive for BusDrive {
-    type Own = Sensor;
-
     #[inline(never)]
     fn start(clocks: &Clocks) -> Option<Self> {
         let wiring = wiring();
@@ -179,7 +174,7 @@ impl Drive for BusDrive {
         let Ok(enable) = TorqueEnable::new(EnablePin::default());
         Some(Self {
             enable,
-            drives: Sensor(wiring.as_ref().map(BoardDrives::new)),
+            drives: wiring.as_ref().map(BoardDrives::new),
             shortest_period_us: wiring.map_or(0, |wiring| wiring.shortest_period_us),
             orders: order,
             arrived,
@@ -195,14 +190,10 @@ impl Drive for BusDrive {
             let Some((port, frame)) = self.arrived.take() else {
                 break;
             };
-            if let Some(drives) = &mut self.drives.0 {
+            if let Some(drives) = &mut self.drives {
                 drives.receive(port, &frame);
             }
         }
-    }
-
-    fn own(&mut self) -> &mut Sensor {
-        &mut self.drives
     }
 
     fn follow(&mut self, session: &mut BoardSession) {
@@ -211,7 +202,7 @@ impl Drive for BusDrive {
         // Frames that wait grow old, also where none arrives and none is sent.
         rtic::pend(WAKE);
         let Self { drives, orders, .. } = self;
-        let Some(drives) = &mut drives.0 else { return };
+        let Some(drives) = drives else { return };
         let mut give = |order| {
             if !orders.put(order) {
                 LOST.fetch_add(1, Ordering::Relaxed);

@@ -11,11 +11,13 @@ mod spi;
 use core::cell::Cell;
 
 use cortex_m::interrupt::{self, Mutex};
+use foretorque::joint::JointSample;
 use foretorque_link::drive::{JointEncoder, JointStage, TurnReference};
 use foretorque_link::hal::{
     AbsoluteEncoder, Direction, EncoderConfig, EncoderError, MotorStage, PwmWithDirection,
     StageError, TorqueScale,
 };
+use foretorque_link::safety::SafetyReason;
 use foretorque_link::session::LocalSensor;
 use stm32f4xx_hal::gpio::{PinState, Speed};
 use stm32f4xx_hal::pac::{SPI1, TIM1};
@@ -130,9 +132,14 @@ pub struct StageAndEncoder {
     encoder: JointEncoder<EncoderDevice>,
 }
 
-impl Drive for StageAndEncoder {
-    type Own = JointEncoder<EncoderDevice>;
+impl LocalSensor<JOINTS> for StageAndEncoder {
+    #[inline(always)]
+    fn measure(&mut self, sample: &mut Option<JointSample<JOINTS>>, at_rest: bool) -> SafetyReason {
+        self.encoder.measure(sample, at_rest)
+    }
+}
 
+impl Drive for StageAndEncoder {
     #[inline(never)]
     fn start(_: &Clocks) -> Option<Self> {
         let output = PwmWithDirection::new(Pulse::start(), DirectionPin);
@@ -149,10 +156,6 @@ impl Drive for StageAndEncoder {
 
     fn watch(&mut self, session: &mut BoardSession) {
         self.stage.check(session);
-    }
-
-    fn own(&mut self) -> &mut Self::Own {
-        &mut self.encoder
     }
 
     fn follow(&mut self, session: &mut BoardSession) {

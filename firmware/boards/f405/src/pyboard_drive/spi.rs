@@ -10,7 +10,7 @@ use super::{ENCODER_DIVIDER, ENCODER_POLLS, EncoderBus, SELECT_CYCLES, pins};
 const NONE: u32 = 1 << 8;
 
 /// The encoder on its bus.
-pub struct EncoderDevice;
+pub(crate) struct EncoderDevice;
 
 impl EncoderDevice {
     /// Sets the bus up. Its clock must run.

@@ -95,7 +95,7 @@ fn assert_smooth(motions: &[JointMotion<N>]) {
 fn it_approaches_plays_its_periods_and_holds_smoothly() {
     let mut player = loaded(&program());
     player.command(Start).unwrap();
-    let mut states = std::vec![player.state()];
+    let mut states = vec![player.state()];
     let mut motions = Vec::new();
     for _ in 0..20_000 {
         motions.extend(follow(&mut player));

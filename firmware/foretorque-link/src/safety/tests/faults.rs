@@ -143,7 +143,7 @@ fn m2_one_implausible_sample_in_three_latches_with_and_without_a_timer() {
                 safety.release(&torque(5.0));
                 samples += 1;
             }
-            let context = std::format!("one in {one_in}, {periods} periods a sample");
+            let context = format!("one in {one_in}, {periods} periods a sample");
             let far = samples.abs_diff(latches.min(4000));
             assert!(far <= 8, "{context}: {samples}");
         }

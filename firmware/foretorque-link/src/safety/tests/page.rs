@@ -2,9 +2,6 @@
 
 use super::*;
 use foretorque::feedforward::FeedForwardConfig;
-use std::format;
-use std::string::{String, ToString as _};
-use std::vec::Vec;
 
 const PAGE: &str = include_str!("../../../../../docs/safety.md");
 

@@ -283,7 +283,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         let measured = sample.and_then(|sample| sample.measured);
         mailbox.post(self.feed_forward.learning_sample(measured));
         if reply_waits {
-            mailbox.hold_reply();
+            mailbox.held = true;
         }
         TickResult {
             sequence: self.last_sequence,
@@ -382,7 +382,7 @@ mod tests {
         sample.in_period(period).flags
     }
 
-    fn lost(samples: &[(u8, u32)]) -> std::vec::Vec<u32> {
+    fn lost(samples: &[(u8, u32)]) -> Vec<u32> {
         let mut gaps = SampleGaps::default();
         let lost = |&(period, missed)| gaps.take(flags(period), missed).lost;
         samples.iter().map(lost).collect()

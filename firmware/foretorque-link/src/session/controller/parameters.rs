@@ -2,9 +2,7 @@
 
 use super::{Controller, SampleGaps, TickCounters};
 use crate::bank::{BankError, Parameters, feed_forward_config};
-use crate::excitation::{
-    ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, Player,
-};
+use crate::excitation::{ExcitationCommand, ExcitationError, ExcitationProgram, Player};
 use crate::safety::{SafetyLimits, SafetyReason};
 use crate::session::{LearnerMailbox, seconds};
 use crate::wire::{Configuration, EvaluatedFrame, MotionFrame, NackReason, SampleFrame};
@@ -152,16 +150,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         let program = ExcitationProgram::decode(bytes).ok_or(ExcitationError::Number(0));
         let loaded = program.and_then(|program| self.player.load(&program));
         loaded.map_err(NackReason::Excitation)
-    }
-
-    pub(in crate::session) fn excite(
-        &mut self,
-        command: ExcitationCommand,
-    ) -> Result<ExcitationState, NackReason> {
-        self.player
-            .command(command)
-            .map_err(NackReason::Excitation)?;
-        Ok(self.player.state())
     }
 
     /// Emergency stop of torque and learning: the data that led to it may not be fit to learn from.

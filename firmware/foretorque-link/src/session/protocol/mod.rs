@@ -25,7 +25,7 @@ pub(super) enum Received<const N: usize> {
 /// State of one link: decoder, sequence numbers, counters, telemetry.
 #[derive(Default)]
 pub(super) struct Protocol {
-    decoder: Decoder,
+    pub(super) decoder: Decoder,
     /// Counters of the link, and those of the owner of the session. The others are elsewhere, and zero here.
     pub(super) counters: Statistics,
     /// Last sequence number.
@@ -83,11 +83,6 @@ impl Protocol {
             let lost = &mut self.counters.replies_lost;
             *lost = lost.saturating_add(1);
         }
-    }
-
-    /// Bytes on the link that belonged to no good frame.
-    pub(super) fn bytes_lost(&self) -> u32 {
-        self.decoder.bytes_lost()
     }
 
     /// The challenge that the signature of the next upload has to cover.

@@ -33,15 +33,11 @@ pub(in crate::session) struct Stream {
     unsent: u16,
     record: Vec<u8, RECORD_BYTES>,
     sent: usize,
-    lost: u32,
+    /// Records that were not sent whole: the reply buffer was full, or the next record came first.
+    pub(in crate::session) lost: u32,
 }
 
 impl Stream {
-    /// Records that were not sent whole: the reply buffer was full, or the next record came first.
-    pub(in crate::session) fn lost(&self) -> u32 {
-        self.lost
-    }
-
     pub(in crate::session) fn end(&mut self) {
         *self = Self {
             lost: self.lost,

@@ -224,7 +224,7 @@ fn c2_samples_older_than_the_time_out_arm_no_board() {
             let mut board = timed(pacing);
             (0..silent).for_each(|_| _ = board.period(None));
             let reply = if armed { &ACK } else { &refused };
-            let context = std::format!("{pacing:?}, {silent} periods");
+            let context = format!("{pacing:?}, {silent} periods");
             assert_eq!(board.request(HostMessage::Arm), *reply, "{context}");
             assert_eq!(board.session.torque_enabled(), armed);
             if !armed {
@@ -273,7 +273,7 @@ fn c2_an_arm_that_moved_since_arming_gets_no_torque() {
             };
             for k in 0..21 {
                 let torque = board.period(Some(changed)).unwrap();
-                let context = std::format!("{pacing:?}, {reason:?}");
+                let context = format!("{pacing:?}, {reason:?}");
                 assert_eq!(torque.total != ZERO, flows, "{context}");
                 if k == 0 {
                     assert_eq!(status(&torque), (state, reason), "{context}");

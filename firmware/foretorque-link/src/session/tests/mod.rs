@@ -20,8 +20,6 @@ use foretorque::arm::ur5::Ur5;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque::limits::Flags;
-use std::boxed::Box;
-use std::vec::Vec;
 use store::Flash;
 
 pub(crate) const N: usize = 6;

@@ -14,7 +14,7 @@ pub(super) struct Flash(Vec<u8>, Rc<Cell<bool>>);
 
 impl Flash {
     fn blank() -> Self {
-        Self(std::vec![0xFF; 2 * Self::ERASE_SIZE], Rc::default())
+        Self(vec![0xFF; 2 * Self::ERASE_SIZE], Rc::default())
     }
 }
 

@@ -184,7 +184,7 @@ fn m1_a_silent_host_loses_its_torque_equally_fast_in_both_pacings() {
             first(&mut leaves, timeline.state() != SafetyState::Armed);
         }
         // The page gives 10, 30 at most, and 50 ms.
-        let context = std::format!("{pacing:?}: {falls}, {ends}, {leaves} ms");
+        let context = format!("{pacing:?}: {falls}, {ends}, {leaves} ms");
         assert!((11..=12).contains(&falls), "{context}");
         assert!(ends > falls && ends <= 33, "{context}");
         assert!((50..=51).contains(&leaves), "{context}");
@@ -385,7 +385,7 @@ fn ends(event: &str, close_ms: u16, (kept, zero): (u32, u32)) {
             assert_ne!(session.brake_released(), ended);
             assert!(periods < 300, "the torque never ends");
         }
-        let context = std::format!("{pacing:?}, {event}, {close_ms} ms: {held} {lasted}");
+        let context = format!("{pacing:?}, {event}, {close_ms} ms: {held} {lasted}");
         // On its way from the full torque it is neither.
         assert!(held + 10 >= kept && lasted <= zero, "{context}");
         assert_eq!(*board.session.torque_output(), JointVector::<N>::zeros());

@@ -13,8 +13,6 @@ use proptest::prelude::*;
 use proptest::sample::select;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::string::{String, ToString as _};
-use std::vec::Vec;
 
 const N: usize = 6;
 
@@ -186,7 +184,7 @@ fn lost_bytes_are_those_of_refused_frames() {
 
 /// Name of a variant.
 fn named(variant: &impl Debug) -> String {
-    let text = std::format!("{variant:?}");
+    let text = format!("{variant:?}");
     let name = text.split(|letter: char| !letter.is_alphabetic()).next();
     name.unwrap().to_string()
 }

@@ -10,10 +10,7 @@ const PAGE: &str = include_str!("../../../../../docs/protocol.md");
 
 /// Rows of the tables of a section, without the head of the first.
 fn rows(section: &str) -> impl Iterator<Item = &'static str> {
-    let section = PAGE
-        .split(&std::format!("\n## {section}\n"))
-        .nth(1)
-        .unwrap();
+    let section = PAGE.split(&format!("\n## {section}\n")).nth(1).unwrap();
     let lines = section.lines().take_while(|line| !line.starts_with("## "));
     lines.filter(|line| line.starts_with("| ")).skip(1)
 }
@@ -30,16 +27,16 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
     let directions = ["→", "←"].into_iter().zip(frames::<6>()).zip(frames::<7>());
     for ((direction, six), seven) in directions {
         for (tag, ((name, six), (_, seven))) in six.iter().zip(&seven).enumerate() {
-            let line = row(page, &std::format!("| {direction} | {tag} | `{name}` |"));
-            let ends = std::format!("| {} | {} |", six.len(), seven.len());
+            let line = row(page, &format!("| {direction} | {tag} | `{name}` |"));
+            let ends = format!("| {} | {} |", six.len(), seven.len());
             let same = line.ends_with(&ends);
             assert!(same, "{line}\nends with {ends} in the types");
         }
     }
     let heading = page.find("| bit | field |").unwrap();
     for field in Field::ALL {
-        let line = row(&page[heading..], &std::format!("| {} | ", field as u8));
-        let ends = std::format!("| {} |", field.bytes(6));
+        let line = row(&page[heading..], &format!("| {} | ", field as u8));
+        let ends = format!("| {} |", field.bytes(6));
         assert!(line.ends_with(&ends), "{line}: {ends}");
     }
     for (name, resolution, range) in [
@@ -49,16 +46,16 @@ fn the_protocol_page_states_the_sizes_of_the_types() {
         ("effort", Effort::RESOLUTION, Effort::MAX),
     ] {
         let exponent = (1.0 / resolution).log2() as u32;
-        let wanted = std::format!("| {name} | 2^-{exponent} | ±{} |", range.round());
-        let line = row(page, &std::format!("| {name} |"));
+        let wanted = format!("| {name} | 2^-{exponent} | ±{} |", range.round());
+        let line = row(page, &format!("| {name} |"));
         assert!(line.starts_with(&wanted), "{wanted}");
     }
     let longest = Configuration::MAX_BRAKE_CLOSE_MS;
     for text in [
-        std::format!("protocol version {PROTOCOL_VERSION}"),
-        std::format!("by default and {longest} ms at most"),
-        std::format!("| the brakes take longer to close than {longest} ms |"),
-        std::format!(
+        format!("protocol version {PROTOCOL_VERSION}"),
+        format!("by default and {longest} ms at most"),
+        format!("| the brakes take longer to close than {longest} ms |"),
+        format!(
             "by default and {} ms at most",
             Configuration::PERIODS_US.end() / 1000
         ),
@@ -91,7 +88,7 @@ fn every_code_and_width_of_the_nack_reasons_is_that_of_the_type() {
     for (code, (name, bytes)) in coded::<NackReason>().iter().enumerate() {
         let line = lines.next().unwrap();
         assert!(
-            line.starts_with(&std::format!("| {code} | `{name}` |")),
+            line.starts_with(&format!("| {code} | `{name}` |")),
             "{line}"
         );
         let payload = line.split('|').nth(3).unwrap();
@@ -105,12 +102,12 @@ fn every_code_and_width_of_the_nack_reasons_is_that_of_the_type() {
         ("excitation", coded::<ExcitationError>()),
     ] {
         let line = lines.next().unwrap();
-        assert!(line.starts_with(&std::format!("| {name} |")), "{line}");
+        assert!(line.starts_with(&format!("| {name} |")), "{line}");
         let items: Vec<_> = line.split('|').nth(2).unwrap().split(';').collect();
         assert_eq!(items.len(), codes.len(), "{line}");
         for (code, (item, (_, bytes))) in items.iter().zip(codes).enumerate() {
             let nested = usize::from(item.contains("bank error"));
-            let begins = item.trim().starts_with(&std::format!("{code} "));
+            let begins = item.trim().starts_with(&format!("{code} "));
             assert!(begins && width(item).unwrap_or(nested) == bytes, "{item}");
         }
     }
@@ -186,7 +183,7 @@ fn the_order_of_the_statistics_on_the_page_is_that_of_the_type() {
     let (statistics, rest) = postcard::take_from_bytes::<Statistics>(&bytes).unwrap();
     assert!(rest.is_empty());
     assert_eq!(statistics.store, StoreHealth::Failing);
-    assert_eq!(numbers(&std::format!("{statistics:?}")), wanted);
+    assert_eq!(numbers(&format!("{statistics:?}")), wanted);
 }
 
 #[test]
@@ -196,7 +193,7 @@ fn every_kind_of_column_is_on_the_page_or_retired() {
             continue;
         };
         let name = ColumnId { kind, joint: 0 }.to_string();
-        let cells = std::format!("| {number} | `{}`", name.trim_end_matches('1'));
+        let cells = format!("| {number} | `{}`", name.trim_end_matches('1'));
         let retired = ["| 13 | `Fsn`", "| 14 | `Fsw`"].contains(&&*cells);
         assert!(PAGE.contains(&cells) || retired, "{cells}");
     }
@@ -207,9 +204,9 @@ fn the_byte_examples_of_the_page_are_the_frames_of_the_types() {
     let mut wanted = Vec::new();
     for (direction, frames) in ["→", "←"].into_iter().zip(frames::<6>()) {
         for (tag, (name, frame)) in frames.into_iter().enumerate() {
-            let hex = frame.iter().map(|byte| std::format!("{byte:02x}"));
+            let hex = frame.iter().map(|byte| format!("{byte:02x}"));
             let hex = hex.collect::<Vec<_>>().join(" ");
-            wanted.push(std::format!("| {direction} | {tag} | `{name}` | `{hex}` |"));
+            wanted.push(format!("| {direction} | {tag} | `{name}` | `{hex}` |"));
         }
     }
     let stated: Vec<_> = rows("Byte examples").collect();

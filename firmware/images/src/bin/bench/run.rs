@@ -4,8 +4,9 @@ use core::hint::black_box;
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 
-use cortex_m_semihosting::{debug, hprintln};
+use cortex_m_semihosting::hprintln;
 use foretorque_f405::arm::Learner;
+use foretorque_images::{exit, words};
 use stm32f4xx_hal::pac::TIM2;
 
 use crate::bus::Bus;
@@ -19,14 +20,11 @@ const CALLS: u32 = 64;
 fn main() -> ! {
     start_counter();
     let (calls, ticks) = numbers();
-    if run(calls, ticks).is_none() {
+    let done = run(calls, ticks).is_some();
+    if !done {
         hprintln!("the configuration of the tick does not validate");
-        debug::exit(debug::EXIT_FAILURE);
     }
-    debug::exit(debug::EXIT_SUCCESS);
-    loop {
-        cortex_m::asm::nop();
-    }
+    exit(done)
 }
 
 fn run(calls: u32, ticks: u32) -> Option<()> {
@@ -132,7 +130,7 @@ fn count(run: fn(&mut Stage), stage: &mut Stage) -> u32 {
 /// The numbers on the command line that the host passes by semihosting: calls of each row, ticks of the long run.
 fn numbers() -> (u32, u32) {
     let mut text = [0u8; 32];
-    let mut words = foretorque_images::words(&mut text).into_iter().flatten();
+    let mut words = words(&mut text).into_iter().flatten();
     let mut number = || core::str::from_utf8(words.next()?).ok()?.parse().ok();
     (number().unwrap_or(CALLS), number().unwrap_or(0))
 }
@@ -140,8 +138,5 @@ fn numbers() -> (u32, u32) {
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
     hprintln!("{}", info);
-    debug::exit(debug::EXIT_FAILURE);
-    loop {
-        cortex_m::asm::nop();
-    }
+    exit(false)
 }
