@@ -278,12 +278,9 @@ impl Registers for Peripheral {
 mod tests {
     //! The driver on a model of bxCAN: start, frames there and back, order, overrun, faults.
 
-    extern crate std;
-
     use super::*;
     use foretorque_link::drives::in_line::Bridge;
     use std::collections::VecDeque;
-    use std::vec::Vec;
 
     /// Filter master after reset (RM0090 32.9.4).
     const FMR_RESET: u32 = 0x2a1c_0e01;

@@ -55,11 +55,8 @@ pub const WATCHDOG_RELOAD: u16 = 200;
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use foretorque_link::wire::size;
-    use std::format;
 
     /// Part of the processor that receiving frames of `bytes` at 1 kHz takes at an instruction a cycle, in per mille,
     /// rounded up.

@@ -217,12 +217,8 @@ impl FlashRegisters for Registers {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use std::cell::RefCell;
-    use std::vec;
-    use std::vec::Vec;
 
     /// Flash interface whose error flags stay until they are cleared, as those of the chip.
     struct Fake {

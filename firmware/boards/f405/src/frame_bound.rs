@@ -45,8 +45,6 @@ impl FrameBound {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
 
     /// Frames and bytes that one pass reads out of a burst.

@@ -76,11 +76,8 @@ pub(crate) fn check() -> ImageStatus {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use foretorque_link::wire::ImageStatus::{Damaged, Sound, Unsealed};
-    use std::vec::Vec;
 
     /// Place of the seal in the program.
     const PLACE: usize = 300;

@@ -14,7 +14,7 @@
 //! | [`flash_driver`], `key_slot`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
 //! Another board is a file beside these and a binary that names it.
-#![no_std]
+#![cfg_attr(not(test), no_std)]
 
 /// The `main` of a firmware on the host: the name of what it is.
 #[macro_export]

@@ -550,7 +550,8 @@ fn a_temperature_that_no_longer_comes_makes_a_warm_motor() {
         .board
         .receive(0, &Frame::standard(1 << 5 | 0x15, &celsius));
     board.rest(10, &[]);
-    assert_eq!(board.session.temperatures_c()[0], 40);
+    let statistics = board.session.statistics(&board.mailboxes.learner);
+    assert_eq!(statistics.hottest_c, 40);
     assert_ne!(board.session.safety().reason, SafetyReason::MotorWarm);
     board.rest(1050, &[]);
     assert_eq!(board.session.safety().reason, SafetyReason::MotorWarm);

@@ -9,7 +9,7 @@ use crate::session::tests::{self as session, ACK, N, nack, torque};
 use crate::wire::{BoardMessage, HostMessage, NackReason, Pacing, SampleFrame, TorqueFrame};
 use core::convert::Infallible;
 use embedded_hal::digital::ErrorType;
-use embedded_hal::spi::{ErrorKind, Operation, SpiDevice};
+use embedded_hal::spi::ErrorKind;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque::limits::Flags;
 use std::cell::RefCell;
@@ -74,32 +74,17 @@ impl TorqueOutput for Pins {
     }
 }
 
-/// The bus of a chip that the test holds too.
-#[derive(Clone)]
-struct Bus(Rc<RefCell<Chip>>);
-
-impl embedded_hal::spi::ErrorType for Bus {
-    type Error = ErrorKind;
-}
-
-impl SpiDevice for Bus {
-    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), ErrorKind> {
-        self.0.borrow_mut().transaction(operations)
-    }
-}
-
 /// A board with a stage and an encoder, in the order of calls of its firmware.
 struct Board {
     board: session::Board,
     stage: JointStage<Pins, Pins, Pins>,
-    encoder: JointEncoder<Bus>,
-    chip: Rc<RefCell<Chip>>,
+    encoder: JointEncoder<Chip>,
     bench: Rc<RefCell<Bench>>,
 }
 
 impl Board {
     fn new(turn: TurnReference) -> Self {
-        let (pins, chip) = (Pins::default(), Rc::new(RefCell::new(Chip::new(0))));
+        let pins = Pins::default();
         let stage = MotorStage::new(pins.clone(), pins.clone(), pins.clone(), SCALE).unwrap();
         let config = EncoderConfig {
             zero_counts: 0,
@@ -107,12 +92,11 @@ impl Board {
             ratio: 1.0,
             largest_step: 1000,
         };
-        let encoder = AbsoluteEncoder::new(Bus(chip.clone()), config).unwrap();
+        let encoder = AbsoluteEncoder::new(Chip::new(0), config).unwrap();
         Self {
             board: session::Board::new(),
             stage: JointStage::new(stage, JOINT),
             encoder: JointEncoder::new(encoder, JOINT, turn),
-            chip,
             bench: pins.0,
         }
     }
@@ -163,6 +147,10 @@ impl Board {
         assert_eq!(self.request(HostMessage::Arm), refused);
     }
 
+    fn chip(&mut self) -> &mut Chip {
+        &mut self.encoder.encoder.spi
+    }
+
     fn enabled(&self) -> bool {
         self.bench.borrow().enabled
     }
@@ -191,7 +179,7 @@ fn the_position_of_the_encoder_replaces_that_of_the_sample() {
     (0..5).for_each(|_| _ = board.sample(&still(0.5)));
     assert_eq!(board.request(HostMessage::Arm), ACK);
     let mut board = Board::new(NEAR);
-    board.chip.borrow_mut().angle = 1304;
+    board.chip().angle = 1304;
     board.samples(5);
     board.assert_refused(SafetyReason::TooFar);
 }
@@ -200,7 +188,7 @@ fn the_position_of_the_encoder_replaces_that_of_the_sample() {
 fn a_failed_reading_drops_the_measurement_only() {
     let mut board = Board::armed(NEAR);
     let torque = board.sample(&still(0.0)).total;
-    board.chip.borrow_mut().flips = (0, 0, 1);
+    board.chip().flips = (0, 0, 1);
     let reply = board.sample(&still(0.0));
     assert_eq!(reply.safety.state, SafetyState::Armed);
     assert_eq!(reply.safety.reason, SafetyReason::Encoder);
@@ -220,7 +208,7 @@ fn a_missing_encoder_ends_the_torque_and_latches() {
         (0xffff, EncoderError::Refused(7)),
     ] {
         let mut board = Board::armed(NEAR);
-        board.chip.borrow_mut().level = Some(level);
+        board.chip().level = Some(level);
         let mut ticks = 0;
         while board.sample(&still(0.0)).safety.state == SafetyState::Armed {
             ticks += 1;
@@ -242,10 +230,10 @@ fn a_missing_encoder_ends_the_torque_and_latches() {
 #[test]
 fn a_lost_turn_is_restored_at_rest_only() {
     let mut board = Board::armed(NEAR);
-    board.chip.borrow_mut().angle = 1500;
+    board.chip().angle = 1500;
     board.sample(&still(0.0));
     assert_eq!(board.encoder.last_error(), Some(EncoderError::Jump));
-    board.chip.borrow_mut().angle = 0;
+    board.chip().angle = 0;
     while board.board.session.torque_enabled() {
         board.sample(&still(0.0));
         assert_eq!(board.encoder.last_error(), Some(EncoderError::NoReference));
@@ -277,9 +265,9 @@ fn a_tick_of_the_timer_reads_the_encoder_too() {
     let mut board = Board::new(NEAR);
     board.samples(5);
     board.board.pace(Pacing::SysTick);
-    let before = board.chip.borrow().frames;
+    let before = board.chip().frames;
     (0..10).for_each(|_| board.timer());
-    assert_eq!(board.chip.borrow().frames, before + 20);
+    assert_eq!(board.chip().frames, before + 20);
 }
 
 #[test]

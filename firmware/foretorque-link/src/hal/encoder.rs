@@ -86,7 +86,7 @@ impl Register {
 /// ```
 #[derive(Debug)]
 pub struct AbsoluteEncoder<Spi> {
-    spi: Spi,
+    pub(crate) spi: Spi,
     config: EncoderConfig,
     /// Position in counts over all turns, without the zero offset; `None` while the turn is unknown. Wraps after 131 072
     /// turns.

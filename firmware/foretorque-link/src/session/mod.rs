@@ -97,11 +97,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         &self.controller.feed_forward
     }
 
-    /// Last reported motor temperatures, °C; -128 is unknown.
-    pub fn temperatures_c(&self) -> &[i8; N] {
-        &self.controller.temperatures_c
-    }
-
     /// Safety state, and its reason.
     pub fn safety(&self) -> SafetyStatus {
         self.controller.safety.status()
@@ -198,7 +193,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
     /// Counters since boot or reset.
     pub fn statistics(&self, mailbox: &LearnerMailbox<N, P>) -> Statistics {
         let ticks = &self.controller.counters;
-        let temperatures = self.temperatures_c().iter().copied();
+        let temperatures = self.controller.temperatures_c.iter().copied();
         Statistics {
             bytes_lost: self.protocol.decoder.bytes_lost(),
             overtaken: ticks.overtaken,

@@ -215,14 +215,10 @@ mod tests {
     }
 
     #[test]
-    fn blank_and_programmed_flash_is_no_header() {
+    fn blank_and_programmed_flash_and_a_length_beyond_the_slot_are_no_header() {
         for filling in [0x00, 0xFF] {
             assert_eq!(Header::from_bytes(&[filling; HEADER_BYTES]), None);
         }
-    }
-
-    #[test]
-    fn a_length_beyond_the_slot_is_refused() {
         let mut header = HEADER;
         header.length = SLOT_BYTES - HEADER_BYTES as u32;
         assert_eq!(Header::from_bytes(&header.to_bytes()), Some(header));

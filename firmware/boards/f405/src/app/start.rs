@@ -53,19 +53,14 @@ impl Statics {
     }
 }
 
-/// The parts of a started board, one for each task.
-pub struct Started<B: Board> {
-    /// Shared by tick, learner and idle loop.
-    pub mailboxes: &'static mut BoardMailboxes,
-    /// Of the link's interrupt.
-    pub wire: Wire,
-    /// Of the tick.
-    pub tick: Tick<B>,
-    /// Of the learner.
-    pub learner: &'static mut Learner,
-    /// Of the idle loop.
-    pub idle: Idle,
-}
+/// Parts of a started board: what tick, learner and idle loop share, and the own part of link, tick, learner and idle loop.
+pub type Started<B> = (
+    &'static mut BoardMailboxes,
+    Wire,
+    Tick<B>,
+    &'static mut Learner,
+    Idle,
+);
 
 /// Starts clocks, pins, session, learner and link; leaves by a reset if a constant of the board cannot work.
 #[inline(always)]
@@ -176,27 +171,23 @@ pub fn start<B: Board>(
             .checked_div(counter_hz / 1_000_000)
             .unwrap_or_default()
     );
-    Started {
-        mailboxes,
-        wire,
-        tick: Tick {
-            session,
-            received,
-            waiting,
-            out,
-            timer,
-            drive,
-            brake_open: false,
-            kept,
-            losses: 0,
-            bound: FrameBound::default(),
-            latency: CostMeter::default(),
-        },
-        learner,
-        idle: Idle {
-            watchdog: Watchdog::start(chip.IWDG),
-            housekeeping,
-            drain,
-        },
-    }
+    let tick = Tick {
+        session,
+        received,
+        waiting,
+        out,
+        timer,
+        drive,
+        brake_open: false,
+        kept,
+        losses: 0,
+        bound: FrameBound::default(),
+        latency: CostMeter::default(),
+    };
+    let idle = Idle {
+        watchdog: Watchdog::start(chip.IWDG),
+        housekeeping,
+        drain,
+    };
+    (mailboxes, wire, tick, learner, idle)
 }

@@ -374,12 +374,9 @@ impl SampleGaps {
 mod tests {
     use super::*;
 
+    /// The number of the period is in the upper five bits.
     fn flags(period: u8) -> SampleFlags {
-        let sample = SampleFrame::<1>::new(&JointSample {
-            desired: JointMotion::zero(),
-            measured: None,
-        });
-        sample.in_period(period).flags
+        SampleFlags(period << 3)
     }
 
     fn lost(samples: &[(u8, u32)]) -> Vec<u32> {
@@ -389,22 +386,14 @@ mod tests {
     }
 
     #[test]
-    fn a_period_left_out_is_a_lost_sample() {
+    fn periods_left_out_are_lost_samples_and_long_gaps_count_as_the_largest() {
         assert_eq!(lost(&[(7, 0), (8, 0), (10, 1), (13, 1)]), [0, 0, 1, 2]);
         assert_eq!(lost(&[(30, 0), (31, 0), (32, 0), (34, 1)]), [0, 0, 0, 1]);
-    }
-
-    #[test]
-    fn lost_commands_and_hosts_that_do_not_count_lose_no_sample() {
-        assert_eq!(lost(&[(1, 0), (2, 3), (3, 30)]), [0, 0, 0]);
+        // Lost commands, and a host that does not count.
+        assert_eq!(lost(&[(1, 0), (2, 30), (3, 33)]), [0, 0, 0]);
         assert_eq!(lost(&[(0, 0), (0, 1), (0, 9)]), [0, 0, 0]);
-    }
-
-    #[test]
-    fn long_and_unknown_gaps_count_as_the_largest() {
         assert_eq!(lost(&[(1, 0), (8, 6), (7, 6)]), [0, MAX_FILLED, MAX_FILLED]);
         assert_eq!(lost(&[(1, 0), (2, 31), (3, 31)]), [0, MAX_FILLED, 0]);
-        assert_eq!(lost(&[(1, 0), (2, 30), (3, 30)]), [0, 0, 0]);
         let mut gaps = SampleGaps::default();
         gaps.interrupt();
         assert_eq!(gaps.take(flags(1), 0).lost, 0, "there was nothing before");
@@ -420,15 +409,11 @@ mod tests {
             let gap = gaps.take(flags(period), missed);
             (gap.counted, gap.most)
         };
-        assert_eq!(
-            [take(1, 0), take(2, 30), take(5, 32)],
-            [(1, 1), (1, 1), (3, 3)]
-        );
+        let counted = [take(1, 0), take(2, 30), take(5, 32)];
+        assert_eq!(counted, [(1, 1), (1, 1), (3, 3)]);
         // A host that does not count, and more missed frames than its numbers can show.
-        assert_eq!(
-            [take(5, 32), take(5, 34), take(6, 70)],
-            [(0, 1), (0, 3), (1, 37)]
-        );
+        let counted = [take(5, 32), take(5, 34), take(6, 70)];
+        assert_eq!(counted, [(0, 1), (0, 3), (1, 37)]);
         gaps.interrupt();
         let gap = gaps.take(flags(9), 70);
         assert_eq!((gap.counted, gap.most), (1, u32::MAX));

@@ -1,6 +1,6 @@
 //! Signatures of banks, excitations and orders on a board with a write key.
 
-use super::store::storing_with;
+use super::store::storing;
 use super::*;
 use crate::excitation::{
     ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, JointSeries,
@@ -172,7 +172,7 @@ fn m4_on_a_keyed_board_an_unsigned_order_is_refused_and_changes_nothing() {
 #[test]
 fn m4_the_bounds_of_learning_stay_around_the_signed_bank() {
     for (keyed, configured) in [(true, false), (true, true), (false, false), (false, true)] {
-        let (mut board, _) = storing_with(keyed.then(|| key(3)));
+        let mut board = storing(keyed.then(|| key(3)));
         let bank = uploaded();
         let permit = |board: &mut Board, message: HostMessage<N>| {
             if keyed {

@@ -6,15 +6,13 @@ use crate::store::{Store, StoreError, StoreHealth};
 use crate::write_key::WriteKey;
 use core::convert::Infallible;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use std::cell::Cell;
-use std::rc::Rc;
 
 /// Flash that works, or is worn out without reporting it; the host has the simulated one of the campaigns.
-pub(super) struct Flash(Vec<u8>, Rc<Cell<bool>>);
+pub(super) struct Flash(Vec<u8>, bool);
 
 impl Flash {
     fn blank() -> Self {
-        Self(vec![0xFF; 2 * Self::ERASE_SIZE], Rc::default())
+        Self(vec![0xFF; 2 * Self::ERASE_SIZE], false)
     }
 }
 
@@ -40,39 +38,33 @@ impl NorFlash for Flash {
     const ERASE_SIZE: usize = 16 * 1024;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Infallible> {
-        if !self.1.get() {
+        if !self.1 {
             self.0[from as usize..to as usize].fill(0xFF);
         }
         Ok(())
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Infallible> {
-        if !self.1.get() {
+        if !self.1 {
             self.0[offset as usize..][..bytes.len()].copy_from_slice(bytes);
         }
         Ok(())
     }
 }
 
-/// A board with a store, whose flash is worn out while the cell is true.
-fn storing() -> (Board, Rc<Cell<bool>>) {
-    storing_with(None)
-}
-
-pub(super) fn storing_with(write_key: Option<WriteKey>) -> (Board, Rc<Cell<bool>>) {
+/// A board with a store.
+pub(super) fn storing(write_key: Option<WriteKey>) -> Board {
     let mut board = Board::with(|board| {
         board.capabilities = Capabilities::LEARNING | Capabilities::STORE;
         board.write_key = write_key;
     });
-    let flash = Flash::blank();
-    let worn = flash.1.clone();
-    board.housekeeping.start(Some(Store::new(flash)));
-    (board, worn)
+    board.housekeeping.start(Some(Store::new(Flash::blank())));
+    board
 }
 
 #[test]
 fn a_set_is_saved_read_and_restored_on_request() {
-    let (mut board, _) = storing();
+    let mut board = storing(None);
     let bank = uploaded();
     assert_eq!(board.upload(&bank, None), ACK);
     board.acknowledged(HostMessage::Save);
@@ -115,7 +107,7 @@ fn a_damaged_set_gives_way_to_the_one_before() {
 
 #[test]
 fn an_empty_or_missing_store_is_refused_and_changes_nothing() {
-    let (mut board, _) = storing();
+    let mut board = storing(None);
     let before = board.read();
     let empty = nack(NackReason::Store(StoreError::Empty));
     assert_eq!(board.request(HostMessage::Restore), empty);
@@ -128,7 +120,7 @@ fn an_empty_or_missing_store_is_refused_and_changes_nothing() {
 
 #[test]
 fn a_worn_flash_is_reported_until_a_save_succeeds() {
-    let (mut board, worn) = storing();
+    let mut board = storing(None);
     assert_eq!(board.statistics().store, StoreHealth::Unused);
     let loaded = board
         .session
@@ -143,7 +135,8 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
         (true, HostMessage::Restore, ACK, StoreHealth::Failing),
         (false, HostMessage::Save, ACK, StoreHealth::Sound),
     ] {
-        worn.set(is_worn);
+        let store = board.housekeeping.store_mut().unwrap();
+        store.flash_mut().1 = is_worn;
         assert_eq!(board.request(message), reply);
         assert_eq!(board.statistics().store, health);
         if is_worn {
@@ -156,7 +149,7 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
 
 #[test]
 fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing() {
-    let (mut board, _) = storing();
+    let mut board = storing(None);
     board.samples_to_arm();
     let started = |message: HostMessage<N>, board: &mut Board| {
         let frame = board.numbered(&message);

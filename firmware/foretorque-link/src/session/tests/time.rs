@@ -266,7 +266,7 @@ fn m11_the_temperatures_of_all_joints_arrive_between_commands() {
             timeline.timer();
             timeline.request(HostMessage::Statistics);
         }
-        let temperatures = *timeline.board.session.temperatures_c();
+        let temperatures = timeline.board.session.controller.temperatures_c;
         assert_eq!(temperatures, [60, 61, 62, 63, 64, 65], "{pacing:?}");
     }
 }
