@@ -1,8 +1,5 @@
 use super::*;
-use crate::drives::{
-    Carry, Cia402, ControlMode, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply,
-    Odrive, Order, Protocol, Ranges, Request, Scale,
-};
+use crate::drives::*;
 use crate::safety::SafetyState;
 use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Session};
 use crate::wire::{Configuration, FrameBuffer, HostMessage, SampleFrame};

@@ -11,11 +11,7 @@ use crate::bank::{NETWORK_SEED, ParameterBank};
 use crate::safety::{ARM_SAMPLES, SafetyLimits, SafetyState};
 use crate::telemetry::Statistics;
 use crate::wire::size::{self, LinkCapacity};
-use crate::wire::{
-    BankSource, BoardHello, CHUNK, CRC, Capabilities, ChipStatus, ClockSource, Decoder, Field,
-    HostMessage, ImageStatus, MAC_BYTES, MAX_FRAME, NackReason, Pacing, ResetReason, SampleFrame,
-    TelemetryFrame, TorqueFrame, encode, encode_as,
-};
+use crate::wire::*;
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
