@@ -1,5 +1,8 @@
 use super::*;
-use crate::drives::*;
+use crate::drives::{
+    Carry, Cia402, ControlMode, DriveProfile, DriveState, Frame, Frames, JointCommand, JointReply,
+    Odrive, Order, Protocol, Ranges, Request, Scale,
+};
 use crate::safety::SafetyState;
 use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Session};
 use crate::wire::{Configuration, FrameBuffer, HostMessage, SampleFrame};

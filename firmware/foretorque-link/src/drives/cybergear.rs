@@ -4,7 +4,7 @@
 //! in the eight bytes, big endian. A reply (kind 2) has state and faults in the identifier. Sources: CyberGear manual
 //! 4.1; RobStride manual, private protocol. The manual's position range is ±4π, its sample code's ±12.5 rad.
 
-use super::frame::{carried, centred, code_of, from_centred, join, nearest};
+use super::frame::{join, nearest};
 use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Outgoing,
     Ranges, Request, Scale, push,
@@ -46,22 +46,8 @@ pub(super) struct Codec<'p> {
 
 impl Codec<'_> {
     pub(super) fn command(&self, command: &JointCommand, out: &mut Outgoing<'_>) {
-        let command = self.scales.clamp(command, out.flags);
-        let code = |value: f32, scale: f32, carry: &mut f32| {
-            carried(centred(value, scale, STEPS), carry, 0, STEPS.into()) as u16
-        };
-        let steps = f32::from(STEPS);
-        let bytes = pack([
-            nearest(centred(command.position, self.scales.position, STEPS)) as u16,
-            code(
-                command.velocity,
-                self.scales.velocity,
-                &mut out.carry.velocity,
-            ),
-            nearest(command.kp * steps / self.scales.kp) as u16,
-            nearest(command.kd * steps / self.scales.kd) as u16,
-        ]);
-        let torque = code(command.torque, self.scales.torque, &mut out.carry.torque);
+        let [p, v, kp, kd, torque] = self.scales.codes::<STEPS>(command, out);
+        let bytes = pack([p, v, kp, kd]);
         send(kind::COMMAND, torque, self.drive.id, bytes, out.frames);
     }
 
@@ -89,15 +75,13 @@ impl Codec<'_> {
         match frame.id >> 24 {
             _ if !own => None,
             kind::REPLY | kind::ACTIVE => Some(Event::Reply(JointReply {
-                position: Some(from_centred(p, self.scales.position, STEPS)),
-                velocity: Some(from_centred(v, self.scales.velocity, STEPS)),
-                torque: Some(from_centred(t, self.scales.torque, STEPS)),
                 temperature: Some(f32::from(celsius) * 0.1),
                 state: Some(match (frame.id >> 16 & 0x3f, frame.id >> 22 & 3) {
                     (0, 2) => DriveState::Enabled,
                     (0, _) => DriveState::Disabled,
                     (faults, _) => DriveState::Fault(faults),
                 }),
+                ..self.scales.reply::<STEPS>([p, v, t])
             })),
             kind::READ => {
                 let [low, high, _, _, value @ ..] = data;
@@ -128,14 +112,9 @@ impl Codec<'_> {
         let [p, v, kp, kd] = unpack(data);
         let order = match frame.id >> 24 {
             kind::COMMAND => {
-                let steps = f32::from(STEPS);
-                return Some(Request::Command(JointCommand {
-                    position: from_centred(p, self.scales.position, STEPS),
-                    velocity: from_centred(v, self.scales.velocity, STEPS),
-                    torque: from_centred((frame.id >> 8) as u16, self.scales.torque, STEPS),
-                    kp: f32::from(kp) * self.scales.kp / steps,
-                    kd: f32::from(kd) * self.scales.kd / steps,
-                }));
+                let torque = (frame.id >> 8) as u16;
+                let command = self.scales.command::<STEPS>([p, v, kp, kd, torque]);
+                return Some(Request::Command(command));
             }
             kind::ENABLE => Order::Enable,
             kind::STOP if data.starts_with(&[1]) => Order::ClearFault,
@@ -150,12 +129,9 @@ impl Codec<'_> {
     }
 
     pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
-        let bytes = pack([
-            code_of(reply.position, self.scales.position, STEPS),
-            code_of(reply.velocity, self.scales.velocity, STEPS),
-            code_of(reply.torque, self.scales.torque, STEPS),
-            nearest(reply.temperature.unwrap_or_default() * 10.0).clamp(0, STEPS.into()) as u16,
-        ]);
+        let [p, v, t] = self.scales.reply_codes::<STEPS>(reply);
+        let celsius = nearest(reply.temperature.unwrap_or_default() * 10.0);
+        let bytes = pack([p, v, t, celsius.clamp(0, STEPS.into()) as u16]);
         let state = match reply.state.unwrap_or_default() {
             DriveState::Enabled => 2 << 14,
             DriveState::Fault(faults) => (faults.clamp(1, 0x3f) as u16) << 8,

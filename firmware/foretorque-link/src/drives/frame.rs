@@ -1,6 +1,6 @@
 //! CAN frames, classic and FD, and the packed integers in them: scaling, saturation, rounding error.
 
-use super::{JointCommand, Ranges};
+use super::{JointCommand, JointReply, Outgoing, Ranges};
 use crate::copy;
 use core::fmt;
 pub(super) use foretorque::math::nearest;
@@ -181,18 +181,13 @@ pub(super) fn carried(value: f32, carry: &mut f32, low: i32, high: i32) -> i32 {
 }
 
 /// Code of `value` in a field of `steps` steps from −`scale` to +`scale`, not rounded.
-pub(super) fn centred(value: f32, scale: f32, steps: u16) -> f32 {
+fn centred(value: f32, scale: f32, steps: u16) -> f32 {
     (value + scale) * f32::from(steps) / (2.0 * scale)
 }
 
 /// Value of a code of such a field.
-pub(super) fn from_centred(code: u16, scale: f32, steps: u16) -> f32 {
+fn from_centred(code: u16, scale: f32, steps: u16) -> f32 {
     f32::from(code) * (2.0 * scale) / f32::from(steps) - scale
-}
-
-/// Code of a measured value in such a field; an absent one counts as 0.
-pub(super) fn code_of(value: Option<f32>, scale: f32, steps: u16) -> u16 {
-    nearest(centred(value.unwrap_or_default(), scale, steps)).clamp(0, steps.into()) as u16
 }
 
 /// Eight bytes of two halves.
@@ -214,9 +209,66 @@ pub(super) fn unpair(data: [u8; 8]) -> (f32, f32) {
     )
 }
 
+/// Steps of the position in a frame of packed integers; the other fields have `STEPS`.
+const POSITION_STEPS: u16 = 0xffff;
+
 impl Ranges {
+    /// Codes of a command: position, velocity, stiffness, damping, torque.
+    pub(super) fn codes<const STEPS: u16>(
+        &self,
+        command: &JointCommand,
+        out: &mut Outgoing<'_>,
+    ) -> [u16; 5] {
+        let command = self.clamp(command, out.flags);
+        let code = |value: f32, scale: f32, carry: &mut f32| {
+            carried(centred(value, scale, STEPS), carry, 0, STEPS.into()) as u16
+        };
+        let gain = |value: f32, scale: f32| nearest(value * f32::from(STEPS) / scale) as u16;
+        let position = centred(command.position, self.position, POSITION_STEPS);
+        [
+            nearest(position) as u16,
+            code(command.velocity, self.velocity, &mut out.carry.velocity),
+            gain(command.kp, self.kp),
+            gain(command.kd, self.kd),
+            code(command.torque, self.torque, &mut out.carry.torque),
+        ]
+    }
+
+    /// Command of such codes.
+    pub(super) fn command<const STEPS: u16>(&self, [p, v, kp, kd, t]: [u16; 5]) -> JointCommand {
+        JointCommand {
+            position: from_centred(p, self.position, POSITION_STEPS),
+            velocity: from_centred(v, self.velocity, STEPS),
+            torque: from_centred(t, self.torque, STEPS),
+            kp: f32::from(kp) * self.kp / f32::from(STEPS),
+            kd: f32::from(kd) * self.kd / f32::from(STEPS),
+        }
+    }
+
+    /// Codes of the position, velocity and torque of a reply; an absent one counts as 0.
+    pub(super) fn reply_codes<const STEPS: u16>(&self, reply: &JointReply) -> [u16; 3] {
+        let code = |value: Option<f32>, scale: f32, steps: u16| {
+            nearest(centred(value.unwrap_or_default(), scale, steps)).clamp(0, steps.into()) as u16
+        };
+        [
+            code(reply.position, self.position, POSITION_STEPS),
+            code(reply.velocity, self.velocity, STEPS),
+            code(reply.torque, self.torque, STEPS),
+        ]
+    }
+
+    /// Reply of such codes.
+    pub(super) fn reply<const STEPS: u16>(&self, [p, v, t]: [u16; 3]) -> JointReply {
+        JointReply {
+            position: Some(from_centred(p, self.position, POSITION_STEPS)),
+            velocity: Some(from_centred(v, self.velocity, STEPS)),
+            torque: Some(from_centred(t, self.torque, STEPS)),
+            ..JointReply::default()
+        }
+    }
+
     /// A command in the coordinates of the drive within the fields; sets the flags of what was not.
-    pub(super) fn clamp(&self, command: &JointCommand, flags: &mut Saturation) -> JointCommand {
+    fn clamp(&self, command: &JointCommand, flags: &mut Saturation) -> JointCommand {
         JointCommand {
             position: flags.clamp(command.position, self.position, Saturation::POSITION),
             velocity: flags.clamp(command.velocity, self.velocity, Saturation::VELOCITY),

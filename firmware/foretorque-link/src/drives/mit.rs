@@ -9,14 +9,14 @@
 //!
 //! Sources: bgkatz/motorcontrol `can.cpp`; Damiao's DM-J manual.
 
-use super::frame::{carried, centred, code_of, from_centred, join, nearest};
+use super::frame::join;
 use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Outgoing,
     Ranges, Request, Saturation, Scale, push,
 };
 
-const FINE: u16 = 0xffff;
-const COARSE: u16 = 0xfff;
+/// Steps of all fields but the position.
+const STEPS: u16 = 0xfff;
 /// Identifier of Damiao's register frames.
 const REGISTERS: u32 = 0x7ff;
 const READ: u8 = 0x33;
@@ -32,16 +32,7 @@ pub(super) struct Codec<'p> {
 
 impl Codec<'_> {
     pub(super) fn command(&self, command: &JointCommand, out: &mut Outgoing<'_>) {
-        let ranges = self.scales;
-        let command = ranges.clamp(command, out.flags);
-        let coarse = |value: f32, scale: f32, carry: &mut f32| {
-            carried(centred(value, scale, COARSE), carry, 0, COARSE.into()) as u16
-        };
-        let p = nearest(centred(command.position, ranges.position, FINE)) as u16;
-        let v = coarse(command.velocity, ranges.velocity, &mut out.carry.velocity);
-        let t = coarse(command.torque, ranges.torque, &mut out.carry.torque);
-        let kp = nearest(command.kp * f32::from(COARSE) / ranges.kp) as u16;
-        let kd = nearest(command.kd * f32::from(COARSE) / ranges.kd) as u16;
+        let [p, v, kp, kd, t] = self.scales.codes::<STEPS>(command, out);
         let mut data = pack([p, v, kp, kd, t]);
         if data.starts_with(&PREFIX) {
             // Seven bytes of 0xff are the prefix of an order.
@@ -74,14 +65,13 @@ impl Codec<'_> {
     }
 
     pub(super) fn decode(&self, frame: &Frame) -> Option<Event> {
-        let ranges = self.scales;
         if !plain(frame, self.drive.host_id) {
             return None;
         }
         if !self.damiao {
             let (&[id, p0, p1, v, vt, t], _) = frame.bytes().split_first_chunk()?;
             let own = u16::from(id) == self.drive.id;
-            return own.then(|| Event::Reply(measured(ranges, [p0, p1, v, vt, t])));
+            return own.then(|| Event::Reply(self.measured([p0, p1, v, vt, t])));
         }
         let data = frame.eight()?;
         let [low, high, kind, index, value @ ..] = data;
@@ -104,13 +94,13 @@ impl Codec<'_> {
         let reply = JointReply {
             temperature: Some(mosfet.max(rotor).into()),
             state: Some(state),
-            ..measured(ranges, [p0, p1, v, vt, t])
+            ..self.measured([p0, p1, v, vt, t])
         };
         Some(Event::Reply(reply))
     }
 
     pub(super) fn accept(&self, frame: &Frame) -> Option<Request> {
-        let (data, ranges) = (frame.eight()?, self.scales);
+        let data = frame.eight()?;
         if self.damiao && plain(frame, REGISTERS as u16) {
             let [low, high, kind, index, ..] = data;
             let own = u16::from_le_bytes([low, high]) == self.drive.id;
@@ -133,14 +123,8 @@ impl Codec<'_> {
                 _ => {}
             }
         }
-        let [p, v, kp, kd, t] = unpack(data);
-        Some(Request::Command(JointCommand {
-            position: from_centred(p, ranges.position, FINE),
-            velocity: from_centred(v, ranges.velocity, COARSE),
-            torque: from_centred(t, ranges.torque, COARSE),
-            kp: f32::from(kp) * ranges.kp / f32::from(COARSE),
-            kd: f32::from(kd) * ranges.kd / f32::from(COARSE),
-        }))
+        let command = self.scales.command::<STEPS>(unpack(data));
+        Some(Request::Command(command))
     }
 
     pub(super) fn reply(&self, reply: &JointReply, frames: &mut Frames) {
@@ -149,7 +133,8 @@ impl Codec<'_> {
             DriveState::Fault(code) => code.clamp(2, 15) as u8,
             _ => 0,
         };
-        let (id, [p0, p1, v, vt, t]) = (self.drive.id as u8, measurement(self.scales, reply));
+        let [p, v, t] = self.scales.reply_codes::<STEPS>(reply);
+        let (id, [p0, p1, .., v, vt, t]) = (self.drive.id as u8, pack([p, 0, 0, v, t]));
         let celsius = reply.temperature.unwrap_or_default() as u8;
         let damiao = [status << 4 | id & 0xf, p0, p1, v, vt, t, celsius, celsius];
         let mini_cheetah = [id, p0, p1, v, vt, t];
@@ -165,6 +150,12 @@ impl Codec<'_> {
         let data = join([low, high, READ, register(scale)], value.to_le_bytes());
         push(frames, Frame::standard(self.drive.host_id.into(), &data));
     }
+
+    /// Content of a reply's five bytes: position, velocity, torque.
+    fn measured(&self, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
+        let [p, .., v, t] = unpack([p0, p1, 0, 0, 0, v, vt, t]);
+        self.scales.reply::<STEPS>([p, v, t])
+    }
 }
 
 /// Bytes of position, velocity, stiffness, damping and torque.
@@ -177,28 +168,8 @@ fn pack(codes: [u16; 5]) -> [u8; 8] {
 fn unpack([p0, p1, v, vk, kp, kd, kt, t]: [u8; 8]) -> [u16; 5] {
     let high = u32::from_be_bytes([0, v, vk, kp]);
     let low = u32::from_be_bytes([0, kd, kt, t]);
-    let [v, kp, kd, t] = [high >> 12, high, low >> 12, low].map(|code| code as u16 & COARSE);
+    let [v, kp, kd, t] = [high >> 12, high, low >> 12, low].map(|code| code as u16 & STEPS);
     [u16::from_be_bytes([p0, p1]), v, kp, kd, t]
-}
-
-/// Content of a reply's five bytes: position, velocity, torque.
-fn measured(ranges: &Ranges, [p0, p1, v, vt, t]: [u8; 5]) -> JointReply {
-    let [p, .., v, t] = unpack([p0, p1, 0, 0, 0, v, vt, t]);
-    JointReply {
-        position: Some(from_centred(p, ranges.position, FINE)),
-        velocity: Some(from_centred(v, ranges.velocity, COARSE)),
-        torque: Some(from_centred(t, ranges.torque, COARSE)),
-        ..JointReply::default()
-    }
-}
-
-/// The five bytes of a reply.
-fn measurement(ranges: &Ranges, reply: &JointReply) -> [u8; 5] {
-    let p = code_of(reply.position, ranges.position, FINE);
-    let v = code_of(reply.velocity, ranges.velocity, COARSE);
-    let t = code_of(reply.torque, ranges.torque, COARSE);
-    let [p0, p1, .., v, vt, t] = pack([p, 0, 0, v, t]);
-    [p0, p1, v, vt, t]
 }
 
 /// Register of a range: 21 to 23.
@@ -229,7 +200,7 @@ pub(super) fn add_torque(frame: &mut Frame, steps: i32) {
         return;
     };
     let [p, v, kp, kd, t] = unpack(*data);
-    let t = (i32::from(t) + steps).clamp(0, COARSE.into()) as u16;
+    let t = (i32::from(t) + steps).clamp(0, STEPS.into()) as u16;
     let sum = pack([p, v, kp, kd, t]);
     if !data.starts_with(&PREFIX) && !sum.starts_with(&PREFIX) {
         *data = sum;

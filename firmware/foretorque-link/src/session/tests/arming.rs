@@ -65,6 +65,7 @@ fn playing(armed: bool) -> (Board, HostMessage<N>) {
 #[test]
 fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
     use HostMessage::{Disarm, Hello, Stop};
+    let state = |board: &Board| board.session.controller.player.state();
     for (armed, end) in [
         (true, Stop),
         (true, Disarm),
@@ -75,7 +76,6 @@ fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
         let (mut board, sample) = playing(armed);
         board.send(&end);
         (0..2).for_each(|_| _ = board.send(&sample));
-        let state = |board: &Board| board.session.controller.player.state();
         assert_eq!(state(&board), ExcitationState::Stopping, "{armed} {end:?}");
         (0..2000).for_each(|_| _ = board.send(&sample));
         assert_eq!(state(&board), ExcitationState::Holding, "{armed} {end:?}");
@@ -84,17 +84,11 @@ fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
     let (mut board, sample) = playing(false);
     board.acknowledged(Disarm);
     (0..10).for_each(|_| _ = board.send(&sample));
-    assert_eq!(
-        board.session.controller.player.state(),
-        ExcitationState::Playing
-    );
+    assert_eq!(state(&board), ExcitationState::Playing);
     let (mut board, sample) = playing(true);
     board.session.torque_off(SafetyReason::Drive);
     (0..2).for_each(|_| _ = board.send(&sample));
-    assert_eq!(
-        board.session.controller.player.state(),
-        ExcitationState::Stopping
-    );
+    assert_eq!(state(&board), ExcitationState::Stopping);
 }
 
 #[test]

@@ -181,13 +181,8 @@ fn m4_the_bounds_of_learning_stay_around_the_signed_bank() {
             }
             assert_eq!(board.request(message), ACK);
         };
-        let nonce = if keyed {
-            board.challenge()
-        } else {
-            [0; MAC_BYTES]
-        };
-        let mac = key(3).sign_upload(&nonce, Ur5::HASH, &bank);
-        assert_eq!(board.upload(&bank, Some(mac)), ACK);
+        let mac = keyed.then(|| board.signed(3, &bank)).flatten();
+        assert_eq!(board.upload(&bank, mac), ACK);
         permit(&mut board, HostMessage::Learning { on: true });
         // Six N·m more than the bank on every joint.
         let set = board.session.feed_forward().state().active;
@@ -219,10 +214,8 @@ fn m4_the_bounds_of_learning_stay_around_the_signed_bank() {
         };
         if configured {
             board.acknowledged(configure(|_| ()));
-            assert_eq!(
-                columns(&board.read_from(BankSource::Committed)),
-                columns(kept)
-            );
+            let committed = board.read_from(BankSource::Committed);
+            assert_eq!(columns(&committed), columns(kept));
         }
         permit(&mut board, HostMessage::Save);
         permit(&mut board, HostMessage::Restore);

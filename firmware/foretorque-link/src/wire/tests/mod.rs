@@ -60,10 +60,8 @@ fn an_effort_at_the_end_of_its_range_or_a_current_without_a_gain_is_no_measureme
         assert_eq!(tau, measured.then_some(effort), "{effort}");
         let frame = frame.with_current(&JointVector::repeat(effort));
         let tau = |gain: f32| frame.sample(&[gain; N]).measured.map(|it| it.tau);
-        assert_eq!(
-            tau(2.0),
-            measured.then(|| JointVector::repeat(2.0 * effort))
-        );
+        let doubled = JointVector::repeat(2.0 * effort);
+        assert_eq!(tau(2.0), measured.then_some(doubled));
         assert_eq!(tau(0.0), None);
     }
 }
@@ -248,11 +246,8 @@ fn assert_sizes<const J: usize>() {
         ("FullTorque", size::full_torque(J)),
         ("Excited", size::excited(J)),
     ] {
-        let mut named = all.iter().filter(|(known, _)| known == name);
-        assert!(
-            named.any(|(_, frame)| frame.len() == bytes),
-            "{name}: {bytes}"
-        );
+        let is = |(known, frame): &(String, Vec<u8>)| known == name && frame.len() == bytes;
+        assert!(all.iter().any(is), "{name}: {bytes}");
     }
 }
 

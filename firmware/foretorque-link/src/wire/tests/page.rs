@@ -87,10 +87,8 @@ fn every_code_and_width_of_the_nack_reasons_is_that_of_the_type() {
     let mut lines = rows("Nack reasons");
     for (code, (name, bytes)) in coded::<NackReason>().iter().enumerate() {
         let line = lines.next().unwrap();
-        assert!(
-            line.starts_with(&format!("| {code} | `{name}` |")),
-            "{line}"
-        );
+        let begins = format!("| {code} | `{name}` |");
+        assert!(line.starts_with(&begins), "{line}");
         let payload = line.split('|').nth(3).unwrap();
         let error = payload.contains("error");
         assert_eq!(width(payload).unwrap_or(error.into()), *bytes, "{line}");
