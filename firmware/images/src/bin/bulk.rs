@@ -51,10 +51,7 @@ mod run {
             return Some(());
         }
         out.clear();
-        loop {
-            let Some(bytes) = streams.read(&mut buffer) else {
-                return Some(());
-            };
+        while let Some(bytes) = streams.read(&mut buffer) {
             // In pieces, as the flashable firmware takes them: a piece cannot ask for more than the replies can carry.
             for piece in bytes.chunks(CHUNK) {
                 session.receive(piece, &mut mailboxes, &mut out, &mut NoLocalSensor);
@@ -68,6 +65,7 @@ mod run {
                 mailboxes.learner.work(learner, &Counter);
             }
         }
+        Some(())
     }
 
     /// Reports no place: the host gets the emulator's exit status, a debugger shows the rest.

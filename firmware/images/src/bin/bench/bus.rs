@@ -58,34 +58,28 @@ impl Bus {
             period_s: 1e-3,
             joints,
         };
-        let frame = |joint: &BusJoint, command| {
-            let mut frames = Frames::new();
-            if command {
-                let (command, mut carry) = (JointCommand::default(), Carry::default());
-                let _ = joint.drive.command(&command, &mut carry, &mut frames);
-            } else {
-                joint.drive.reply(&JointReply::default(), &mut frames);
-            }
-            frames.first().copied()
-        };
-        let replies = joints.map(|joint| frame(&joint, false));
-        let [Some(a), Some(b), Some(c), Some(d), Some(e), Some(f)] = replies else {
-            return None;
-        };
+        let mut frames = Frames::new();
+        let replies = joints.map(|joint| {
+            frames.clear();
+            joint.drive.reply(&JointReply::default(), &mut frames);
+            frames[0]
+        });
         // The last joint is found after all others.
-        let command = frame(&joint(6), true)?;
+        let (command, mut carry) = (JointCommand::default(), Carry::default());
+        frames.clear();
+        let _ = joint(6).drive.command(&command, &mut carry, &mut frames);
         let mut in_line = InLine::new(joints.map(|joint| Some(joint.drive)), u32::MAX);
         in_line.set(&[1.0; JOINTS], 0);
         let bus = place.write(Self {
             controller: BusController::new(config, &Parameters::nominal::<Ur5>()).ok()?,
             mailbox: LearnerMailbox::default(),
-            replies: [a, b, c, d, e, f],
+            replies,
             bridge: Bridge::new(
                 [Mailbox::default(), Mailbox::default()],
                 Some(in_line),
                 u32::MAX,
             ),
-            command,
+            command: frames[0],
         });
         for _ in 0..START {
             bus.tick();

@@ -30,7 +30,7 @@ impl Link {
     #[inline(never)]
     pub(crate) fn init(place: &'static mut MaybeUninit<Self>) -> Option<&'static mut Self> {
         let session = Session::new(BoardDescription {
-            write_key: key(),
+            write_key: Some(key()),
             seed: Some(SEED),
             ..BoardDescription::plain(NoClock)
         });
@@ -78,14 +78,9 @@ impl Link {
             5 => HostMessage::Statistics,
             6 => HostMessage::Challenge,
             7 => {
-                let nonce = key().map(|key| key.challenge(&SEED, round));
-                let mac = nonce
-                    .zip(key())
-                    .map(|(nonce, key)| key.sign_order(&nonce, Ur5::HASH, order));
-                HostMessage::Unlock {
-                    order,
-                    mac: mac.unwrap_or_default(),
-                }
+                let nonce = key().challenge(&SEED, round);
+                let mac = key().sign_order(&nonce, Ur5::HASH, order);
+                HostMessage::Unlock { order, mac }
             }
             _ => HostMessage::Hello,
         };
@@ -106,6 +101,6 @@ impl Link {
     }
 }
 
-fn key() -> Option<WriteKey> {
-    WriteKey::from_slot([3; KEY_BYTES])
+fn key() -> WriteKey {
+    WriteKey::from_slot([3; KEY_BYTES]).expect("a key that is not blank")
 }
