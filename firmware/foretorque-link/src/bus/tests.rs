@@ -66,10 +66,9 @@ const ODRIVE: Protocol = Protocol::Odrive(Odrive {
 /// Drives that stand where they are set, with a switch for each.
 struct Drives {
     config: BusConfig<6>,
-    on: [bool; 6],
-    /// CANopen: nodes that were started, and states of those that are not on.
-    started: [bool; 6],
     states: [DriveState; 6],
+    /// CANopen: nodes that were started.
+    started: [bool; 6],
     /// The drives answer no question for a scale.
     mute: bool,
     /// ODrive: periods between two heartbeats, and periods so far.
@@ -78,8 +77,6 @@ struct Drives {
     /// Positions and stiffness of the last commands.
     position: [f32; 6],
     kp: [f32; 6],
-    /// Faults that keep a drive off until they are cleared.
-    faults: [bool; 6],
     q: [f32; 6],
     torque: [f32; 6],
     order: Vec<u16>,
@@ -93,19 +90,21 @@ impl Drives {
     fn of(config: BusConfig<6>) -> Self {
         Self {
             config,
-            on: [false; 6],
+            states: [DriveState::Disabled; 6],
             started: [false; 6],
-            states: [DriveState::NotReady; 6],
             mute: false,
             heartbeat: 1,
             periods: 0,
             position: [0.0; 6],
             kp: [0.0; 6],
-            faults: [false; 6],
             q: [0.0; 6],
             torque: [0.0; 6],
             order: Vec::new(),
         }
+    }
+
+    fn on(&self) -> [bool; 6] {
+        self.states.map(|state| state == DriveState::Enabled)
     }
 
     /// One period: what the controller sends, and what the drives answer to it; `change` may alter an answer.
@@ -150,31 +149,26 @@ impl Drives {
                 };
                 self.order.push(joint.drive.id);
                 let mut frames = Frames::new();
+                let state = &mut self.states[j];
                 match request {
                     Request::Order(Order::ReadScale(_)) if self.mute => {}
-                    Request::Order(Order::ReadScale(scale)) if canopen => {
-                        joint.drive.reply_scale(scale, 12.0, &mut frames);
-                    }
-                    Request::Order(Order::Enable) if canopen => {
-                        self.states[j] = match self.states[j] {
-                            DriveState::Disabled => DriveState::SwitchedOn,
-                            other => other,
-                        };
-                    }
-                    Request::Order(Order::Disable) if canopen => {
-                        (self.on[j], self.states[j]) = (false, DriveState::Disabled);
-                    }
-                    Request::Command(_) if canopen => {
-                        self.on[j] |= self.states[j] == DriveState::SwitchedOn;
-                    }
                     Request::Order(Order::ReadScale(scale)) => {
-                        let value = [12.5, 30.0, 200.0][scale as usize];
+                        let value = [12.5, 30.0, if canopen { 12.0 } else { 200.0 }];
+                        let value = value[scale as usize];
                         joint.drive.reply_scale(scale, value, &mut frames);
                     }
-                    Request::Order(Order::Enable) => self.on[j] = !self.faults[j],
-                    Request::Order(Order::ClearFault) => self.faults[j] = false,
-                    Request::Order(Order::Disable) => self.on[j] = false,
-                    Request::Command(command) if self.on[j] => {
+                    Request::Order(Order::ClearFault) => *state = DriveState::Disabled,
+                    // A fault keeps a drive off until it is cleared.
+                    _ if matches!(state, DriveState::Fault(_)) => {}
+                    Request::Order(Order::Disable) => *state = DriveState::Disabled,
+                    Request::Order(Order::Enable) if !canopen => *state = DriveState::Enabled,
+                    Request::Order(Order::Enable) if *state == DriveState::Disabled => {
+                        *state = DriveState::SwitchedOn;
+                    }
+                    Request::Command(_) if *state == DriveState::SwitchedOn => {
+                        *state = DriveState::Enabled;
+                    }
+                    Request::Command(command) if *state == DriveState::Enabled => {
                         self.torque[j] = command.torque;
                         (self.position[j], self.kp[j]) = (command.position, command.kp);
                         if command.kp > 0.0 {
@@ -188,12 +182,7 @@ impl Drives {
                     velocity: Some(0.0),
                     torque: Some(0.0),
                     temperature: Some(30.0),
-                    state: Some(match (self.on[j], self.faults[j]) {
-                        (_, true) => DriveState::Fault(13),
-                        (true, _) => DriveState::Enabled,
-                        (false, _) if canopen => self.states[j],
-                        (false, _) => DriveState::Disabled,
-                    }),
+                    state: Some(*state),
                 };
                 if frames.is_empty() && change(j, &mut reply) {
                     joint.drive.reply(&reply, &mut frames);
@@ -253,7 +242,7 @@ fn arms_after_the_scales_and_sends_torque_and_ramped_gains() {
         drives.period(&mut controller, None, |_, _| true);
     }
     let phase = controller.drives().phase();
-    assert_eq!((phase, drives.on), (BusPhase::Off, [false; 6]));
+    assert_eq!((phase, drives.on()), (BusPhase::Off, [false; 6]));
     assert!(controller.drives().fault().is_none());
 }
 
@@ -273,7 +262,7 @@ fn no_drive_is_switched_on_where_torque_may_not_flow() {
     let refusal = controller.arm().expect_err("the stop stands");
     assert_eq!(refusal, SafetyReason::Stopped.into());
     drives.rest(&mut controller, 20);
-    assert_eq!(drives.on, [false; 6]);
+    assert_eq!(drives.on(), [false; 6]);
     controller.clear().unwrap();
     drives.rest(&mut controller, 20);
     controller.arm().unwrap();
@@ -284,7 +273,7 @@ fn no_drive_is_switched_on_where_torque_may_not_flow() {
     }
     let fault = controller.drives().fault().expect("too far away");
     assert_eq!(fault, SafetyReason::TooFar.into());
-    assert_eq!(drives.on, [false; 6]);
+    assert_eq!(drives.on(), [false; 6]);
 }
 
 #[test]
@@ -295,7 +284,7 @@ fn a_stop_switches_every_drive_off_with_its_next_frame() {
         drives.rest(&mut controller, periods);
         controller.stop(&mut LearnerMailbox::default());
         drives.rest(&mut controller, 1);
-        assert_eq!(drives.on, [false; 6], "{periods}");
+        assert_eq!(drives.on(), [false; 6], "{periods}");
     }
 }
 
@@ -303,17 +292,17 @@ fn a_stop_switches_every_drive_off_with_its_next_frame() {
 fn a_fault_that_is_cleared_is_cleared_in_the_drive_too() {
     let mut drives = Drives::new();
     let mut controller = drives.started();
-    (drives.faults[2], drives.on[2]) = (true, false);
+    drives.states[2] = DriveState::Fault(13);
     drives.rest(&mut controller, 600);
     let fault = controller.drives().fault().expect("of the third drive");
     assert_eq!(fault.joint, Some(2));
     controller.clear().unwrap();
     drives.rest(&mut controller, 20);
-    assert_eq!(drives.faults, [false; 6]);
+    assert_eq!(drives.states, [DriveState::Disabled; 6]);
     controller.arm().unwrap();
     drives.rest(&mut controller, 100);
     assert!(controller.drives().fault().is_none());
-    assert_eq!(drives.on, [true; 6]);
+    assert_eq!(drives.on(), [true; 6]);
 }
 
 /// A board that is master of its drives, and its host.
@@ -436,7 +425,7 @@ fn drives_of_a_silent_host_lose_their_torque_damp_and_are_off() {
         assert!(flows || ms > 10, "{ms} ms");
         assert!(!flows || ms < 65, "{ms} ms: {torque:?}");
     }
-    assert_eq!(board.drives.on, [false; 6]);
+    assert_eq!(board.drives.on(), [false; 6]);
 }
 
 /// The first arming ends with a fault of a drive, or because no scale comes in time.
@@ -444,7 +433,10 @@ fn drives_of_a_silent_host_lose_their_torque_damp_and_are_off() {
 fn a_board_that_is_armed_with_a_cleared_fault_waits_for_scales() {
     for mute in [false, true] {
         let mut board = Board::new();
-        (board.drives.faults[2], board.drives.mute) = (!mute, mute);
+        board.drives.mute = mute;
+        if !mute {
+            board.drives.states[2] = DriveState::Fault(13);
+        }
         board.rest(50, &[HostMessage::Arm]);
         board.rest(600, &[]);
         assert_eq!(board.session.latched_fault(), SafetyReason::Drive);
@@ -452,7 +444,7 @@ fn a_board_that_is_armed_with_a_cleared_fault_waits_for_scales() {
         board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
         board.rest(500, &[]);
         assert_eq!(board.session.safety().state, SafetyState::Armed, "{mute}");
-        assert_eq!(board.drives.on, [true; 6]);
+        assert_eq!(board.drives.on(), [true; 6]);
     }
 }
 
@@ -503,7 +495,7 @@ fn a_state_from_before_the_order_switches_no_drive_on() {
     for _ in 0..2 {
         board.rest(300, &[]);
         assert_eq!(board.session.safety().state, SafetyState::Armed);
-        assert_eq!(board.drives.on, [true; 6]);
+        assert_eq!(board.drives.on(), [true; 6]);
         // It is armed again while the drives damp.
         board.rest(1, &[HostMessage::Disarm]);
         board.rest(20, &[]);
@@ -522,18 +514,19 @@ fn nodes_that_boot_are_started_and_switched_on_step_by_step() {
             rated_torque: 12.0,
         };
         let mut board = Board::of(Role::Master, config_of(Protocol::Cia402(cia402)));
+        board.drives.states = [DriveState::NotReady; 6];
         board.rest(50, &[HostMessage::Arm]);
         board.rest(50, &[]);
-        assert_eq!(board.drives.on, [true; 6]);
+        assert_eq!(board.drives.on(), [true; 6]);
         assert_eq!(board.session.safety().state, SafetyState::Armed);
         // A node that boots again is off, which is a fault; after that it is started again.
-        (board.drives.on[3], board.drives.started[3]) = (false, false);
+        board.drives.started[3] = false;
         board.drives.states[3] = DriveState::NotReady;
         board.rest(1200, &[]);
         assert_eq!(board.session.latched_fault(), SafetyReason::Drive);
         board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
         board.rest(100, &[]);
-        assert_eq!(board.drives.on, [true; 6]);
+        assert_eq!(board.drives.on(), [true; 6]);
     }
 }
 
