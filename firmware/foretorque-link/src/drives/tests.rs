@@ -306,6 +306,7 @@ fn lines_of_text_come_back() {
         command.into_fd(0x50),
         Frame::standard(0x100, &[1, 2]),
         Frame::extended(0x1fff_ffff, &[]),
+        Frame::extended(0x7ff, &[3]),
         Frame::standard(0, &[7; 64]).into_fd(0),
     ] {
         for direction in [text::Direction::Send, text::Direction::Receive] {

@@ -38,7 +38,9 @@ pub fn write_line(frame: &Frame, direction: Direction) -> Line {
         put(&[digit((byte >> 4).into()), digit(byte.into())]);
     }
     put(match (direction, frame.extended, frame.fd) {
-        // A sender's flags need no E: an identifier beyond 7ff is extended.
+        // A sender's flags need no E where the identifier is beyond 7ff.
+        (Direction::Send, true, true) if frame.id <= Frame::STANDARD_MAX => b" EBF ",
+        (Direction::Send, true, false) if frame.id <= Frame::STANDARD_MAX => b" Ebf ",
         (Direction::Send, _, true) => b" BF ",
         (Direction::Send, _, false) => b" bf ",
         (Direction::Receive, true, true) => b" E B F ",
