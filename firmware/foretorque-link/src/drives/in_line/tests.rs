@@ -1,7 +1,7 @@
 //! Frames that pass a board in line: foreign ones unchanged and in order, commands with the torque added.
 
 use super::super::tests::{PROTOCOLS, profile};
-use super::super::{Carry, Frames, JointReply, Order, Resolution};
+use super::super::{Carry, Frames, JointReply, Order};
 use super::*;
 
 const TIMEOUT_US: u32 = 5000;
@@ -255,12 +255,9 @@ fn a_master_sends_its_own_frames_and_passes_none() {
 
 #[test]
 fn torque_is_added_to_every_form_of_a_moteus_command_that_has_the_field() {
-    for resolution in [Resolution::Int16, Resolution::Int32, Resolution::F32] {
-        let mut drive = profile(PROTOCOLS[4].0);
-        let Protocol::Moteus(scales) = &mut drive.protocol else {
-            panic!("{drive:?}");
-        };
-        scales.resolution = resolution;
+    // Those of moteus.
+    for (protocol, _) in &PROTOCOLS[4..7] {
+        let drive = profile(*protocol);
         let mut board = InLine::new([Some(drive)], TIMEOUT_US);
         board.set(&[1.5], 0);
         let command = JointCommand {
@@ -275,7 +272,7 @@ fn torque_is_added_to_every_form_of_a_moteus_command_that_has_the_field() {
             panic!("{frame:?}");
         };
         let near = (passed.torque - 1.75).abs() < 0.03 && (passed.position - 0.5).abs() < 1e-3;
-        assert!(near, "{resolution:?} {passed:?}");
+        assert!(near, "{protocol:?} {passed:?}");
         assert_eq!(frame.bytes().len(), sent.bytes().len());
     }
     // Mode 10 and a position, without the field of the torque.
