@@ -275,7 +275,7 @@ fn check_point<const N: usize>(
         let part = step_s * step_s / 8.0;
         let swings = joint.a_rad_s.iter().zip(&joint.b_rad_s);
         let mut bound = [0.0; 3];
-        for ((a, b), rate) in swings.zip(series.rates()) {
+        for ((a, b), rate) in swings.zip(series.rate) {
             // Bounds of acceleration, jerk and snap, times h² / 8.
             let size = (a.abs() + b.abs()) * part;
             let [qdd, jerk, snap] = &mut bound;

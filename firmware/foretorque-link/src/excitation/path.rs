@@ -49,7 +49,7 @@ impl<const N: usize> Path<N> {
     pub(super) fn phase_step(&self, series: &PreparedSeries) -> u32 {
         match self {
             Self::Approach { phase_step, .. } => *phase_step,
-            Self::Series => series.phase_step(),
+            Self::Series => series.phase_step,
         }
     }
 
@@ -208,7 +208,7 @@ impl JointSeries {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PreparedSeries {
     /// ω l, rad/s.
-    rate: [f32; HARMONICS],
+    pub(super) rate: [f32; HARMONICS],
     /// 1 / (ω l), s/rad.
     inv_rate: [f32; HARMONICS],
     /// Phase step of one tick, in units of 2⁻³² periods.
@@ -234,16 +234,6 @@ impl PreparedSeries {
             inv_rate,
             phase_step: div_u64_by_u32(tick, period),
         }
-    }
-
-    /// Phase step of one tick, in units of 2⁻³² periods.
-    pub fn phase_step(&self) -> u32 {
-        self.phase_step
-    }
-
-    /// ω l of the harmonics, rad/s.
-    pub(super) fn rates(&self) -> [f32; HARMONICS] {
-        self.rate
     }
 
     /// Motion of all joints at `phase`, in units of 2⁻³² periods.
@@ -353,7 +343,7 @@ pub(super) mod tests {
         for (period_us, tick_us) in [(10_000_000, 1000), (2_000_000, 100), (30_000_000, 2000)] {
             let series = PreparedSeries::new(period_us, tick_us);
             let ticks = period_us / tick_us;
-            let whole = u64::from(series.phase_step()) * u64::from(ticks);
+            let whole = u64::from(series.phase_step) * u64::from(ticks);
             let off = whole.abs_diff(1 << 32) as f64 / 4_294_967_296.0;
             assert!(off <= 0.5 * f64::from(ticks) / 4_294_967_296.0, "{off}");
         }
@@ -363,7 +353,7 @@ pub(super) mod tests {
     fn velocity_and_acceleration_are_derivatives_of_position() {
         let series = PreparedSeries::new(10_000_000, 1000);
         let h = 2e-3_f32;
-        let step = series.phase_step() * 2;
+        let step = series.phase_step * 2;
         for k in 0..50_u32 {
             let phase = k * 85_899_345;
             let at = |phase| series.at(&[SWING], phase);

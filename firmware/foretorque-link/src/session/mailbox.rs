@@ -58,11 +58,6 @@ pub struct LearnerMailbox<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
-    /// Learning samples waiting.
-    pub fn waiting(&self) -> usize {
-        self.samples.len()
-    }
-
     /// The content of the reply buffer must wait until the learner has called [`release_reply`](Self::release_reply).
     pub fn holds_reply(&self) -> bool {
         self.held
