@@ -14,7 +14,7 @@ use foretorque_workbench::board::{BoardError, Client, Native, Transport};
 use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig};
 use foretorque_workbench::dynamics::{ReferenceModel, State};
 use foretorque_workbench::excitation::{
-    Certificate, Criterion, Excitation, QuickConfig, SearchConfig, optimise,
+    Certificate, Criterion, Excitation, SearchConfig, optimise,
 };
 use foretorque_workbench::plant::{Plant, PlantConfig, ReportFaults};
 use foretorque_workbench::robot::Robot;
@@ -153,11 +153,7 @@ const BOOT: Duration = Duration::from_secs(5);
 const TICKS: usize = 5000;
 
 fn excitation() -> Excitation {
-    let config = QuickConfig {
-        period_s: 2.0,
-        ..QuickConfig::default()
-    };
-    Excitation::quick(&ur5(), 1, &config, || ()).expect("the UR5 can move")
+    Excitation::quick(&ur5(), 1, 2.0, 200, || ()).expect("the UR5 can move")
 }
 
 fn program() -> ExcitationProgram<N> {

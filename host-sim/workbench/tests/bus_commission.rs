@@ -9,7 +9,7 @@ use foretorque_workbench::board::Described;
 use foretorque_workbench::bus::sim::{
     DriveTruth, LineFault, SimulatedDrive, SimulatedNetwork, TimedFault, plant_config,
 };
-use foretorque_workbench::bus::{BusError, BusPlayer, Commissioning, JointEntry, Profile, Step};
+use foretorque_workbench::bus::{BusError, BusPlayer, Commissioning, Profile, Step};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::robot::{Link, Perturbation, Robot};
@@ -41,7 +41,7 @@ fn arm_of<A: Arm<6, 40>>(
     let config = profile.config::<A, 6, 40>().expect("it fits the arm");
     let noise = Joints::repeat(0.1);
     let mut network = SimulatedNetwork::new(plant, &config, profile.bus[0], &noise, seed);
-    let mut truths: [DriveTruth; 6] = std::array::from_fn(|j| *network.drives[j].truth());
+    let mut truths: [DriveTruth; 6] = std::array::from_fn(|j| network.drives[j].truth);
     plant_mistake(&mut truths);
     network.drives = truths.map(SimulatedDrive::new);
     let parameters = Parameters::nominal::<A>();
@@ -125,7 +125,7 @@ fn weight() -> Link {
 fn a_known_weight_finds_a_gain_that_the_described_masses_do_not_show() {
     for (joint, gain) in [(1, 1.4), (2, 0.7), (3, 1.3)] {
         let mut arm = arm(|_| ());
-        let truth = *arm.player.network.drives[joint].truth();
+        let truth = arm.player.network.drives[joint].truth;
         arm.player.network.drives[joint] = SimulatedDrive::new(DriveTruth { gain, ..truth });
         let (failed, _) = commissioned(&mut arm);
         assert_eq!(failed, None);
@@ -320,11 +320,9 @@ fn shipped_profiles_are_sound() {
         let name = path.file_stem().unwrap().display().to_string();
         for (place, joint) in profile.joint.iter().enumerate() {
             assert_eq!(joint.drive.check(), Ok(()), "{name}, joint {}", place + 1);
-            let same = |other: &&_| {
-                let other: &&JointEntry = other;
-                other.bus == joint.bus && other.drive.id == joint.drive.id
-            };
-            assert_eq!(profile.joint.iter().filter(same).count(), 1, "{name}");
+            let joints = profile.joint.iter();
+            let same = joints.filter(|o| (o.bus, o.drive.id) == (joint.bus, joint.drive.id));
+            assert_eq!(same.count(), 1, "{name}");
         }
         names.push(name);
     }

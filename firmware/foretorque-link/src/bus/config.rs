@@ -11,10 +11,12 @@ pub(super) const BUSES: u8 = 2;
 
 /// One joint on a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct BusJoint {
     /// Codec of its drive.
     pub drive: DriveProfile,
     /// Bus, from 0.
+    #[serde(default)]
     pub bus: u8,
     /// Stiffness, N·m/rad at the joint.
     pub kp: f32,

@@ -12,7 +12,7 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_workbench::board::{BoardError, Client};
 use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig, motion_f32};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
-use foretorque_workbench::excitation::{Excitation, QuickConfig};
+use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::metrics::{TorqueError, TrackingError};
 use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::robot::{Perturbation, Robot};
@@ -20,6 +20,8 @@ use foretorque_workbench::trajectory::Trajectory;
 
 const PERIOD_S: f64 = 1e-3;
 const PD_BANDWIDTH_HZ: f64 = 6.0;
+/// Period of the fundamental of the excitation, s.
+const EXCITATION_PERIOD_S: f64 = 10.0;
 
 /// The setup of every board of the job.
 pub(super) struct Setup<'p> {
@@ -39,15 +41,12 @@ impl<'p> Setup<'p> {
         let other_size = || unsupported(N);
         let truth = robot.perturbed(config.seed, &Perturbation::PLANT);
         let wrong = truth.perturbed(config.seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
-        let search = QuickConfig {
-            candidates: config.excitation_candidates,
-            ..QuickConfig::default()
-        };
-        let mut done = 0;
-        let series = Excitation::quick(robot, config.seed, &search, || {
-            done += 1;
-            progress("excitation", done, search.candidates);
-        })?;
+        let (mut done, candidates) = (0, config.excitation_candidates);
+        let series =
+            Excitation::quick(robot, config.seed, EXCITATION_PERIOD_S, candidates, || {
+                done += 1;
+                progress("excitation", done, candidates);
+            })?;
         let nominal = ReferenceModel::<N>::new(robot).ok_or_else(other_size)?;
         Ok(Self {
             config: *config,

@@ -2,7 +2,7 @@
 
 use super::Transport;
 use serialport::{ErrorKind, SerialPort};
-use std::io::{self, Read, Write};
+use std::io::{self, ErrorKind as Io, Read, Write};
 use std::time::Duration;
 
 /// Bit rate of the link, as the firmware sets it.
@@ -53,21 +53,18 @@ impl Transport for Serial {
             self.port.set_timeout(timeout)?;
         }
         match self.port.read(buffer) {
-            Ok(0) => Err(io::Error::new(
-                io::ErrorKind::UnexpectedEof,
-                "the port was unplugged",
-            )),
-            Ok(count) => Ok(count),
-            Err(error) if error.kind() == io::ErrorKind::TimedOut => Ok(0),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(0),
-            Err(error) => Err(error),
+            Ok(0) => {
+                let problem = "the port was unplugged";
+                Err(io::Error::new(Io::UnexpectedEof, problem))
+            }
+            Err(error) if matches!(error.kind(), Io::TimedOut | Io::Interrupted) => Ok(0),
+            outcome => outcome,
         }
     }
 }
 
 /// The system's error in words.
 fn refusal(path: &str, error: &serialport::Error) -> io::Error {
-    use io::ErrorKind as Io;
     if !std::path::Path::new(path).exists() {
         let known = serialport::available_ports().unwrap_or_default();
         let known: Vec<String> = known.into_iter().map(|port| port.port_name).collect();
@@ -92,11 +89,16 @@ fn refusal(path: &str, error: &serialport::Error) -> io::Error {
     io::Error::new(kind, format!("serial port {path}{problem}"))
 }
 
+/// One end of a pseudo-terminal, and the path of the other, which is free.
+#[cfg(test)]
+pub(crate) fn pseudo_terminal() -> (serialport::TTYPort, String) {
+    let (near, far) = serialport::TTYPort::pair().expect("the system has pseudo-terminals");
+    (near, far.name().expect("it has a name"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serialport::TTYPort;
-    use std::io::{Read, Write};
 
     #[test]
     fn a_port_that_is_not_there_is_named() {
@@ -108,9 +110,7 @@ mod tests {
 
     #[test]
     fn a_port_in_use_is_busy() {
-        let (_board, end) = TTYPort::pair().expect("the system has pseudo-terminals");
-        let path = end.name().expect("it has a name");
-        drop(end);
+        let (_board, path) = pseudo_terminal();
         let _first = Serial::open(&path, 115_200).expect("it is free");
         let error = Serial::open(&path, 115_200).err().expect("it is in use");
         assert_eq!(error.kind(), io::ErrorKind::ResourceBusy, "{error}");
@@ -118,26 +118,18 @@ mod tests {
 
     #[test]
     fn bytes_pass_both_ways_and_silence_is_no_error() {
-        let (mut board, end) = TTYPort::pair().expect("the system has pseudo-terminals");
-        let path = end.name().expect("it has a name");
-        drop(end);
+        let (mut board, path) = pseudo_terminal();
         let mut serial = Serial::open(&path, 115_200).expect("it is free");
         let mut buffer = [0; 8];
-        assert_eq!(
-            serial
-                .receive(&mut buffer, Duration::from_millis(10))
-                .unwrap(),
-            0
-        );
+        let silent = serial.receive(&mut buffer, Duration::from_millis(10));
+        assert_eq!(silent.unwrap(), 0);
         serial.send(&[1, 0, 13]).unwrap();
         let mut received = [0; 3];
         board.read_exact(&mut received).unwrap();
         assert_eq!(received, [1, 0, 13]);
         board.write_all(&[9, 10]).unwrap();
-        assert_eq!(
-            serial.receive(&mut buffer, Duration::from_secs(1)).unwrap(),
-            2
-        );
+        let answered = serial.receive(&mut buffer, Duration::from_secs(1));
+        assert_eq!(answered.unwrap(), 2);
         assert_eq!(buffer[..2], [9, 10]);
     }
 }

@@ -112,10 +112,8 @@ pub struct Commissioning<A: Arm<N, P>, W: Network, const N: usize, const P: usiz
 
 /// Errors: the mistake of a joint that is not as it should be.
 fn check(joint: usize, sound: bool, wrong: impl FnOnce() -> String) -> Result<(), BusError> {
-    match sound {
-        true => Ok(()),
-        false => Err(BusError::Mistake(joint, wrong())),
-    }
+    let sound = sound.then_some(());
+    sound.ok_or_else(|| BusError::Mistake(joint, wrong()))
 }
 
 impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, W, N, P> {
@@ -147,9 +145,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 let outcome = (0..N).try_for_each(|joint| self.torque(joint));
                 self.switch_off()?;
                 for (joint, reason) in std::mem::take(&mut self.undetermined) {
-                    self.player
-                        .network
-                        .ask(&Ask::Undetermined { joint, reason })?;
+                    let ask = Ask::Undetermined { joint, reason };
+                    self.player.network.ask(&ask)?;
                 }
                 outcome
             }
@@ -188,12 +185,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             let (id, bus) = (config.drive.id, config.bus);
             if counters.replies == 0 {
                 let answering = self.scan(joint)?.into_iter();
-                let list: Vec<String> = answering
-                    .map(|(bus, id)| format!("{id} on bus {bus}"))
-                    .collect();
-                let list = match list[..] {
-                    [] => "none".to_owned(),
-                    _ => list.join(", "),
+                let list = answering.map(|(bus, id)| format!("{id} on bus {bus}"));
+                let list = match list.collect::<Vec<_>>().join(", ") {
+                    none if none.is_empty() => "none".to_owned(),
+                    list => list,
                 };
                 let problem =
                     format!("no drive answers at id {id} on bus {bus}; ids that answer: {list}");

@@ -9,7 +9,7 @@ mod text;
 
 pub use commission::{Ask, Commissioning, Found, Step};
 pub use player::{BusPlayer, Jitter};
-pub use profile::{BitRates, JointEntry, Profile, frame_time_s};
+pub use profile::{BitRates, Profile, frame_time_s};
 
 use foretorque_link::bus::BusFault;
 use foretorque_link::drives::Frame;
@@ -93,10 +93,7 @@ fn frame_of(id: u32, extended: bool, data: &[u8]) -> Option<Frame> {
         false => Frame::STANDARD_MAX,
     };
     let fits = id <= most && data.len() <= Frame::CAPACITY;
-    fits.then(|| match extended {
-        true => Frame::extended(id, data),
-        false => Frame::standard(id, data),
-    })
+    fits.then(|| Frame::new(id, extended, data))
 }
 
 /// Priority of the loop among those of real time.
@@ -225,10 +222,8 @@ impl FromStr for BusChoice {
         let known = KINDS.into_iter().find(|known| *known == kind);
         let kind = known.ok_or(WRONG)?;
         let counts = if kind == "sim" { 0..=0 } else { 1..=2 };
-        match counts.contains(&names.len()) && !names.iter().any(String::is_empty) {
-            true => Ok(Self { kind, names }),
-            false => Err(WRONG),
-        }
+        let sound = counts.contains(&names.len()) && !names.iter().any(String::is_empty);
+        sound.then_some(Self { kind, names }).ok_or(WRONG)
     }
 }
 
@@ -276,41 +271,21 @@ mod tests {
 
     #[test]
     fn buses_are_named_as_they_are_written() {
-        for name in [
-            "sim",
-            "socketcan:can0",
-            "socketcan:can0,can1",
-            "slcan:/dev/ttyACM0",
-            "fdcanusb:/dev/ttyACM1",
-            "udp:239.74.163.2",
-        ] {
+        let sound = "sim socketcan:can0 socketcan:can0,can1 slcan:/dev/ttyACM0 fdcanusb:/dev/ttyACM1 udp:239.74.163.2";
+        for name in sound.split(' ') {
             assert_eq!(name.parse::<BusChoice>().expect(name).to_string(), name);
         }
-        for name in [
-            "",
-            "can0",
-            "socketcan:",
-            "socketcan:a,b,c",
-            "serial:x",
-            "udp:,",
-        ] {
+        for name in "/can0/socketcan:/socketcan:a,b,c/serial:x/udp:,".split('/') {
             assert!(name.parse::<BusChoice>().is_err(), "{name}");
         }
     }
 
     #[test]
     fn a_bus_that_is_not_there_is_one_line_with_its_name() {
-        for name in [
-            "socketcan:nowhere7",
-            "slcan:/dev/ttyNOWHERE7",
-            "fdcanusb:/dev/ttyNOWHERE7",
-            "udp:10.0.0.1",
-            "udp:here",
-        ] {
-            let refused = name
-                .parse::<BusChoice>()
-                .expect(name)
-                .open(&[BitRates::default()]);
+        let absent = "socketcan:nowhere7 slcan:/dev/ttyNOWHERE7 fdcanusb:/dev/ttyNOWHERE7 udp:10.0.0.1 udp:here";
+        for name in absent.split(' ') {
+            let choice = name.parse::<BusChoice>().expect(name);
+            let refused = choice.open(&[BitRates::default()]);
             let message = refused.err().expect(name).to_string();
             assert!(message.starts_with(&format!("bus {name}: ")), "{message}");
             assert_eq!(message.lines().count(), 1, "{message}");

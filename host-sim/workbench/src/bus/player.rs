@@ -11,7 +11,6 @@ use foretorque_link::bus::{BusConfig, BusController, BusPhase, BusTick};
 use foretorque_link::drives::Contradiction;
 use foretorque_link::safety::{SafetyReason, SafetyState};
 use foretorque_link::session::{LearnerMailbox, NoClock};
-use std::time::Duration;
 
 /// Longest time for drives to answer at the start, s.
 const LISTENING_S: f64 = 0.5;
@@ -39,10 +38,6 @@ pub struct Jitter {
 }
 
 impl Jitter {
-    fn note(&mut self, delay: Duration) {
-        self.delays_us.push(delay.as_secs_f32() * 1e6);
-    }
-
     /// Median, 99.9th percentile and largest delay, µs.
     pub fn figures(&self) -> [f32; 3] {
         let mut sorted = self.delays_us.clone();
@@ -95,7 +90,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
     /// Errors: a bus that has gone; the drives are then out of reach, and their watchdogs end the torque.
     pub fn tick(&mut self, desired: Option<&JointMotion<N>>) -> Result<BusTick<N>, BusError> {
         let delay = self.network.wait();
-        self.jitter.note(delay);
+        self.jitter.delays_us.push(delay.as_secs_f32() * 1e6);
         while let Some((bus, frame)) = self.network.receive()? {
             self.controller.receive(bus, &frame);
         }
@@ -144,10 +139,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         }
         if let Some(fault) = refusal {
             let answered = (0..N).any(|joint| self.controller.drives().counters(joint).replies > 0);
-            return Err(if answered {
-                BusError::Fault(fault)
-            } else {
-                BusError::Quiet(self.network.name())
+            return Err(match answered {
+                true => BusError::Fault(fault),
+                false => BusError::Quiet(self.network.name()),
             });
         }
         for _ in 0..arming {
@@ -183,10 +177,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         if let Some(fault) = self.controller.drives().fault() {
             return Err(BusError::Fault(fault));
         }
-        match self.controller.status() {
-            status if status.state == SafetyState::Armed => Ok(()),
-            status => Err(BusError::Stopped(status.reason)),
-        }
+        let status = self.controller.status();
+        let armed = (status.state == SafetyState::Armed).then_some(());
+        armed.ok_or(BusError::Stopped(status.reason))
     }
 
     /// Ramps the torque to zero, lets the drives damp, and switches them off.

@@ -29,22 +29,7 @@ pub struct Profile {
     #[serde(default = "one_bus")]
     pub bus: Vec<BitRates>,
     /// Joints, base to tool.
-    pub joint: Vec<JointEntry>,
-}
-
-/// One joint of a profile.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct JointEntry {
-    /// Bus, from 0.
-    #[serde(default)]
-    pub bus: u8,
-    /// Stiffness, N·m/rad at the joint.
-    pub kp: f32,
-    /// Damping, N·m·s/rad at the joint.
-    pub kd: f32,
-    /// The drive.
-    pub drive: DriveProfile,
+    pub joint: Vec<BusJoint>,
 }
 
 fn one_bus() -> Vec<BitRates> {
@@ -80,10 +65,7 @@ impl Profile {
             refused(format!("line {line}: {reason}"))
         })?;
         file.clone_into(&mut profile.file);
-        let check = |sound: bool, problem: String| match sound {
-            true => Ok(()),
-            false => Err(refused(problem)),
-        };
+        let check = |sound: bool, problem| sound.then_some(()).ok_or_else(|| refused(problem));
         let (rate, buses) = (profile.rate_hz, profile.bus.len());
         let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
         let within = format!("rate_hz {rate} is not within {least} and {most}");
@@ -97,7 +79,7 @@ impl Profile {
             let problem = format!("bus {place}: bit_s {nominal} and data_bit_s {data} {within}");
             check(sound, problem)?;
         }
-        for (joint, JointEntry { bus, .. }) in (1..).zip(&profile.joint) {
+        for (joint, BusJoint { bus, .. }) in (1..).zip(&profile.joint) {
             let problem =
                 format!("joint {joint}: bus {bus} contradicts the {buses} buses of the profile");
             check(usize::from(*bus) < buses, problem)?;
@@ -111,27 +93,14 @@ impl Profile {
     pub fn config<A: Arm<N, P>, const N: usize, const P: usize>(
         &self,
     ) -> Result<BusConfig<N>, BusError> {
-        let joint = |entry: &JointEntry| BusJoint {
-            drive: entry.drive,
-            bus: entry.bus,
-            kp: entry.kp,
-            kd: entry.kd,
-        };
-        let joints: Vec<BusJoint> = self.joint.iter().map(joint).collect();
-        let count = joints.len();
+        let (name, count, rests) = (A::name(), self.joint.len(), self.rest_rad.len());
         let refused = |problem| refused(&self.file, problem);
-        let joints = joints.try_into().map_err(|_| {
-            refused(format!(
-                "{count} joints contradict the {N} joints of robot '{}'",
-                A::name()
-            ))
-        })?;
-        let rests = self.rest_rad.len();
+        let other = format!("{count} joints contradict the {N} joints of robot '{name}'");
+        let joints = self.joint.as_slice().try_into();
+        let joints = joints.map_err(|_| refused(other))?;
         if rests != 0 && rests != N {
-            return Err(refused(format!(
-                "rest_rad has {rests} positions, robot '{}' {N} joints",
-                A::name()
-            )));
+            let problem = format!("rest_rad has {rests} positions, robot '{name}' {N} joints");
+            return Err(refused(problem));
         }
         let config = BusConfig {
             period_s: (1.0 / self.rate_hz) as f32,
@@ -140,13 +109,11 @@ impl Profile {
         let checked = config.check::<A, P>();
         checked.map_err(|error| refused(error.to_string()))?;
         for bus in 0..self.bus.len() {
-            let busy_s = self.busy_s(bus);
-            if busy_s * self.rate_hz > 1.0 {
+            let (rate, busy_s) = (self.rate_hz, self.busy_s(bus));
+            if busy_s * rate > 1.0 {
+                let (busy_ms, left_ms) = (busy_s * 1e3, 1e3 / rate);
                 return Err(refused(format!(
-                    "bus {bus}: commands and replies take {:.2} ms, rate_hz {} leaves {:.2} ms",
-                    busy_s * 1e3,
-                    self.rate_hz,
-                    1e3 / self.rate_hz
+                    "bus {bus}: commands and replies take {busy_ms:.2} ms, rate_hz {rate} leaves {left_ms:.2} ms"
                 )));
             }
         }
@@ -204,7 +171,7 @@ impl Profile {
     /// Time that the commands and replies of one tick take on a bus, s.
     pub fn busy_s(&self, bus: usize) -> f64 {
         let rates = self.bus[bus];
-        let is_there = |joint: &&JointEntry| usize::from(joint.bus) == bus;
+        let is_there = |joint: &&BusJoint| usize::from(joint.bus) == bus;
         let joints = self.joint.iter().filter(is_there);
         joints.map(|joint| frames_s(&joint.drive, &rates)).sum()
     }

@@ -9,7 +9,6 @@ use super::profile::BitRates;
 use super::{Line, frame_of};
 use foretorque_link::drives::Frame;
 use serialport::SerialPort;
-use std::fmt::Write as _;
 use std::io::{self, Read, Write};
 use std::time::Duration;
 
@@ -70,14 +69,8 @@ impl TextForm {
     }
 
     /// A frame as a line.
-    pub(super) fn line(self, frame: &Frame) -> String {
-        let mut line = String::new();
-        let hex = |line: &mut String| {
-            for byte in frame.bytes() {
-                // Writing to a string does not fail.
-                let _ = write!(line, "{byte:02X}");
-            }
-        };
+    fn line(self, frame: &Frame) -> String {
+        let hex = hex::encode_upper(frame.bytes());
         match self {
             Self::Slcan => {
                 let kind = match (frame.fd, frame.remote) {
@@ -92,25 +85,21 @@ impl TextForm {
                 let length = frame.bytes().len();
                 let code = LENGTHS.iter().position(|known| *known >= length);
                 let code = code.unwrap_or(LENGTHS.len() - 1);
-                let _ = write!(line, "{kind}{:0width$X}{code:X}", frame.id);
-                hex(&mut line);
-                line.push('\r');
+                format!("{kind}{:0width$X}{code:X}{hex}\r", frame.id)
             }
             Self::Fdcanusb => {
-                let _ = write!(line, "can send {:x} ", frame.id);
-                hex(&mut line);
-                line.push_str(match (frame.fd, frame.remote) {
-                    (true, _) => " BF\n",
-                    (_, true) => " bfR\n",
-                    _ => " bf\n",
-                });
+                let flags = match (frame.fd, frame.remote) {
+                    (true, _) => "BF",
+                    (_, true) => "bfR",
+                    _ => "bf",
+                };
+                format!("can send {:x} {hex} {flags}\n", frame.id)
             }
         }
-        line
     }
 
     /// Frame of a line; `None` for any other line.
-    pub(super) fn frame(self, line: &str) -> Option<Frame> {
+    fn frame(self, line: &str) -> Option<Frame> {
         match self {
             Self::Slcan => slcan(line),
             Self::Fdcanusb => fdcanusb(line),
@@ -138,7 +127,7 @@ fn slcan(line: &str) -> Option<Frame> {
     if length > 8 && !fd {
         return None;
     }
-    let mut frame = frame_of(id, extended, &bytes(rest.get(..2 * length)?)?)?;
+    let mut frame = frame_of(id, extended, &hex::decode(rest.get(..2 * length)?).ok()?)?;
     frame.fd = fd;
     Some(frame)
 }
@@ -149,23 +138,13 @@ fn fdcanusb(line: &str) -> Option<Frame> {
         return None;
     }
     let id = u32::from_str_radix(words.next()?, 16).ok()?;
-    let data = bytes(words.next().filter(|word| word.len() > 1).unwrap_or(""))?;
+    let data = words.next().filter(|word| word.len() > 1);
+    let data = hex::decode(data.unwrap_or_default()).ok()?;
     let flags: Vec<&str> = words.collect();
     let is = |flag: &str| flags.contains(&flag);
     let mut frame = frame_of(id, is("E") || id > Frame::STANDARD_MAX, &data)?;
     frame.fd = is("F");
     (frame.fd || data.len() <= 8).then_some(frame)
-}
-
-fn bytes(hex: &str) -> Option<Vec<u8>> {
-    let pairs = hex.as_bytes().chunks(2);
-    let byte = |pair: &[u8]| {
-        let pair = std::str::from_utf8(pair)
-            .ok()
-            .filter(|pair| pair.len() == 2)?;
-        u8::from_str_radix(pair, 16).ok()
-    };
-    pairs.map(byte).collect()
 }
 
 impl TextLine {
@@ -235,37 +214,28 @@ impl Drop for TextLine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serialport::TTYPort;
 
     #[test]
     fn frames_and_lines_convert_both_ways() {
         let moteus = Frame::extended(0x8001, &[1, 0, 10]).into_fd(0x50);
-        let cases = [
-            (
-                TextForm::Slcan,
-                Frame::standard(0x123, &[0xaa, 0xbb]),
-                "t1232AABB\r",
-            ),
-            (
-                TextForm::Slcan,
-                Frame::extended(0x123, &[0xaa]),
-                "T000001231AA\r",
-            ),
-            (TextForm::Slcan, Frame::remote(0x49), "r0490\r"),
-            (TextForm::Slcan, moteus, "B00008001301000A\r"),
-            (TextForm::Fdcanusb, moteus, "can send 8001 01000A BF\n"),
-            (
-                TextForm::Fdcanusb,
-                Frame::standard(1, &[2]),
-                "can send 1 02 bf\n",
-            ),
+        let [two, one] = [
+            Frame::standard(0x123, &[0xaa, 0xbb]),
+            Frame::standard(1, &[2]),
         ];
-        for (form, frame, line) in cases {
-            assert_eq!(form.line(&frame), line);
-            if form == TextForm::Slcan {
-                assert_eq!(form.frame(line.trim_end()), Some(frame), "{line}");
-            }
+        for (frame, line) in [
+            (two, "t1232AABB\r"),
+            (Frame::extended(0x123, &[0xaa]), "T000001231AA\r"),
+            (Frame::remote(0x49), "r0490\r"),
+            (moteus, "B00008001301000A\r"),
+        ] {
+            assert_eq!(TextForm::Slcan.line(&frame), line);
+            assert_eq!(TextForm::Slcan.frame(line.trim_end()), Some(frame));
         }
+        assert_eq!(
+            TextForm::Fdcanusb.line(&moteus),
+            "can send 8001 01000A BF\n"
+        );
+        assert_eq!(TextForm::Fdcanusb.line(&one), "can send 1 02 bf\n");
         let received = TextForm::Fdcanusb.frame("rcv 100 2701 E B F t123");
         let mut expected = Frame::extended(0x100, &[0x27, 0x01]);
         expected.fd = true;
@@ -274,23 +244,9 @@ mod tests {
 
     #[test]
     fn other_lines_are_no_frames() {
-        for line in [
-            "",
-            "z",
-            "Z",
-            "t",
-            "t12",
-            "t1239",
-            "t1239112233445566778899",
-            "tXYZ0",
-            "t12328",
-            "OK",
-            "rcv",
-            "rcv zz 00",
-            "rcv 1 0g",
-            "rcv 1 000",
-            "ü",
-        ] {
+        let slcan = "|z|Z|t|t12|t1239|t1239112233445566778899|tXYZ0|t12328";
+        let fdcanusb = "OK|rcv|rcv zz 00|rcv 1 0g|rcv 1 000|ü";
+        for line in slcan.split('|').chain(fdcanusb.split('|')) {
             assert_eq!(TextForm::Slcan.frame(line), None, "{line}");
             assert_eq!(TextForm::Fdcanusb.frame(line), None, "{line}");
         }
@@ -298,25 +254,14 @@ mod tests {
 
     #[test]
     fn frames_pass_a_pseudo_terminal() {
-        for (form, sent, given) in [
-            (
-                TextForm::Slcan,
-                "t0018FFFFFFFFFFFFFFFC\r",
-                "z\rt01182122334455667788\r",
-            ),
-            (
-                TextForm::Fdcanusb,
-                "can send 1 FFFFFFFFFFFFFFFC bf\n",
-                "OK\nrcv 11 2122334455667788 e b f\n",
-            ),
-        ] {
+        let slcan = ["t0018FFFFFFFFFFFFFFFC\r", "z\rt01182122334455667788\r"];
+        let sent = "can send 1 FFFFFFFFFFFFFFFC bf\n";
+        let fdcanusb = [sent, "OK\nrcv 11 2122334455667788 e b f\n"];
+        for (form, [sent, given]) in [(TextForm::Slcan, slcan), (TextForm::Fdcanusb, fdcanusb)] {
             let rates = BitRates::default();
-            let (mut adapter, end) = TTYPort::pair().expect("the system has pseudo-terminals");
-            adapter
-                .set_timeout(Duration::from_secs(2))
-                .expect("it has a timeout");
-            let path = end.name().expect("it has a name");
-            drop(end);
+            let (mut adapter, path) = crate::board::serial::pseudo_terminal();
+            let timeout = adapter.set_timeout(Duration::from_secs(2));
+            timeout.expect("it has a timeout");
             let mut line = TextLine::open(&path, form, &rates).expect("it is free");
             let enable = Frame::standard(1, &[255, 255, 255, 255, 255, 255, 255, 252]);
             line.send(&enable).expect("it is there");

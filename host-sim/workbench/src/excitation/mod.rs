@@ -88,11 +88,10 @@ impl Excitation {
     ///
     /// Errors: a line with the reason why it is none.
     pub fn check(&self, robot: &Robot) -> Result<(), Refusal> {
-        let (found, expected) = (&self.robot, &robot.name);
+        let (found, expected, period_s) = (&self.robot, &robot.name, self.period_s);
         if found != expected {
-            return Err(Refusal(format!(
-                "excitation is for robot '{found}', not '{expected}'"
-            )));
+            let problem = format!("excitation is for robot '{found}', not '{expected}'");
+            return Err(Refusal(problem));
         }
         if self.order != ORDER {
             let problem = format!("order {} where {ORDER} is expected", self.order);
@@ -101,11 +100,9 @@ impl Excitation {
         if self.joints.len() != robot.joint_count() {
             return Err(other_joints(self.joints.len(), robot.joint_count()));
         }
-        if !(self.period_s > 0.0 && self.period_s <= MOST_PERIOD_S) {
-            let period_s = self.period_s;
-            return Err(refused(format!(
-                "period of {period_s} s, not above 0 and at most {MOST_PERIOD_S} s"
-            )));
+        if !(period_s > 0.0 && period_s <= MOST_PERIOD_S) {
+            let within = format!("not above 0 and at most {MOST_PERIOD_S} s");
+            return Err(refused(format!("period of {period_s} s, {within}")));
         }
         Ok(())
     }
@@ -167,26 +164,8 @@ const LIMIT_SHARE: f64 = 0.95;
 /// Points of one period on which the limits are checked.
 const CHECK_POINTS: usize = 4000;
 
-/// Configuration of a quick search.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct QuickConfig {
-    /// Period of the fundamental, s.
-    pub period_s: f64,
-    /// Random candidates.
-    pub candidates: usize,
-}
-
-impl Default for QuickConfig {
-    fn default() -> Self {
-        Self {
-            period_s: 10.0,
-            candidates: 200,
-        }
-    }
-}
-
 impl Excitation {
-    /// Best of many random candidates: the one whose stacked base regressor, in the frames of the board, has the smallest
+    /// Best of so many random `candidates`: the one whose stacked base regressor, in the frames of the board, has the smallest
     /// condition number. Keeps limits of position, speed and acceleration, and ignores table and links.
     ///
     /// Every candidate starts and ends at rest and is scaled radially into the limits, so that all are feasible.
@@ -196,24 +175,25 @@ impl Excitation {
     pub fn quick(
         robot: &Robot,
         seed: u64,
-        config: &QuickConfig,
+        period_s: f64,
+        candidates: usize,
         mut progress: impl FnMut(),
     ) -> Result<Self, Refusal> {
         let rows = Rows::new(robot, Frames::Board);
         let limits = Extremes::of_limits(robot, PI, LIMIT_SHARE)?;
-        let omega = TAU / config.period_s;
+        let omega = TAU / period_s;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = || {
             let series =
                 |limits| JointSeries::random(limits, omega, CHECK_POINTS, 1.0, &mut random);
             let joints = limits.iter().map(series).collect();
-            let candidate = Self::of(robot, config.period_s, seed, joints);
+            let candidate = Self::of(robot, period_s, seed, joints);
             let condition = candidate.condition_number(&rows);
             progress();
             (condition, candidate)
         };
         let mut best = draw();
-        for _ in 1..config.candidates {
+        for _ in 1..candidates {
             let candidate = draw();
             if candidate.0 < best.0 {
                 best = candidate;
@@ -256,11 +236,7 @@ mod tests {
 
     fn quick(seed: u64) -> (Robot, Excitation) {
         let robot = Robot::load("ur5").expect("built in");
-        let config = QuickConfig {
-            candidates: 3,
-            ..QuickConfig::default()
-        };
-        let excitation = Excitation::quick(&robot, seed, &config, || {}).expect("feasible");
+        let excitation = Excitation::quick(&robot, seed, 10.0, 3, || {}).expect("feasible");
         (robot, excitation)
     }
 
@@ -273,11 +249,11 @@ mod tests {
                 for (j, joint) in robot.joints.iter().enumerate() {
                     let values = [state.q[j], state.qd[j], state.qdd[j]].map(f64::abs);
                     let limits = [PI, joint.limits.velocity, joint.limits.acceleration];
-                    let kept = values
-                        .iter()
-                        .zip(limits)
-                        .all(|(value, limit)| *value <= limit);
-                    assert!(kept, "seed {seed}, joint {j}");
+                    let mut pairs = values.iter().zip(limits);
+                    assert!(
+                        pairs.all(|(value, limit)| *value <= limit),
+                        "seed {seed}, joint {j}"
+                    );
                 }
             }
         }
@@ -306,11 +282,7 @@ mod tests {
         let h = 1e-4;
         for k in 0..50 {
             let t_s = 0.2 * f64::from(k);
-            let (before, here, after) = (
-                excitation.at::<6>(t_s - h),
-                excitation.at::<6>(t_s),
-                excitation.at::<6>(t_s + h),
-            );
+            let [before, here, after] = [-h, 0.0, h].map(|by| excitation.at::<6>(t_s + by));
             let qd = (after.q - before.q) / (2.0 * h);
             let qdd = (after.qd - before.qd) / (2.0 * h);
             // Central differences are off by jerk · h² / 6 and snap · h² / 6.

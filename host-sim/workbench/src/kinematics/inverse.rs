@@ -55,7 +55,7 @@ impl<const N: usize> Inverse<N> {
         let Some(arm) = &self.closed else {
             return self.searched(target, near);
         };
-        let free = near.iter().next_back().copied().unwrap_or(0.0);
+        let free = near.as_slice().last().copied().unwrap_or(0.0);
         let mut solutions = Vec::with_capacity(8);
         for solution in arm.solutions(target, free)? {
             let q = Joints::<N>::from_column_slice(&solution);
@@ -203,11 +203,7 @@ fn solve_from<const N: usize>(
         q += jacobian.tr_mul(&square.solve(&left));
         left = pose_error(&chain.forward(&q), target);
     }
-    if left.amax() < ARRIVED {
-        Ok(q)
-    } else {
-        Err(left)
-    }
+    (left.amax() < ARRIVED).then_some(q).ok_or(left)
 }
 
 /// Lengths of the linear and the angular part, m and rad.
@@ -234,7 +230,7 @@ fn outside_ranges(solutions: usize) -> Refusal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::excitation::{Excitation, QuickConfig};
+    use crate::excitation::Excitation;
     use nalgebra::Vector3;
 
     fn ur5() -> Robot {
@@ -260,6 +256,7 @@ mod tests {
         other
     }
 
+    /// All eight solutions put the tool on its target.
     fn all_eight_are_right(robot: &Robot) {
         let tool = Placement::from_xyz_rpy(Vector3::new(0.02, 0.1, 0.15), Vector3::repeat(0.4));
         let inverse = Inverse::<6>::new(robot, &tool).expect("six joints");
@@ -275,17 +272,15 @@ mod tests {
                 let left = pose_error(&inverse.chain().forward(solution), &target).amax();
                 assert!(left < 1e-9, "case {case}: {left}");
             }
-            let apart = |s: &Joints<6>| {
-                (s - q)
-                    .map(|d| (d + 3.0 * TAU + 0.5 * TAU) % TAU - 0.5 * TAU)
-                    .amax()
-            };
-            let own = solutions.iter().map(apart).fold(f64::INFINITY, f64::min);
+            let turn = |d: f64| (d + 3.0 * TAU + 0.5 * TAU) % TAU - 0.5 * TAU;
+            let apart = solutions
+                .iter()
+                .map(|solution| (solution - q).map(turn).amax());
+            let own = apart.fold(f64::INFINITY, f64::min);
             assert!(own < 1e-6, "case {case}: {own}");
             for (k, one) in solutions.iter().enumerate() {
-                let twin = solutions[k + 1..]
-                    .iter()
-                    .any(|other| (one - other).amax() < 1e-6);
+                let mut others = solutions[k + 1..].iter();
+                let twin = others.any(|other| (one - other).amax() < 1e-6);
                 assert!(!twin, "case {case}: a solution comes twice");
             }
         }
@@ -293,29 +288,22 @@ mod tests {
     }
 
     #[test]
-    fn the_eight_solutions_of_the_ur5_put_the_tool_on_its_target() {
-        all_eight_are_right(&ur5());
-    }
-
-    #[test]
-    fn the_closed_form_does_not_depend_on_the_frames() {
-        let robot = reframed(&ur5());
-        let tool = Placement::identity();
-        let (own, other) = (
-            Chain::<6>::new(&ur5(), &tool).expect("six"),
-            Chain::<6>::new(&robot, &tool).expect("six"),
-        );
+    fn the_eight_solutions_of_the_ur5_put_the_tool_on_its_target_in_frames_of_any_kind() {
+        let robots = [ur5(), reframed(&ur5())];
+        robots.iter().for_each(all_eight_are_right);
         let q = Joints::<6>::from_fn(|j, _| 0.3 * j as f64 - 0.5);
-        assert!(pose_error(&own.forward(&q), &other.forward(&q)).amax() < 1e-12);
-        all_eight_are_right(&robot);
+        let [own, other] = robots.map(|robot| {
+            let chain = Chain::<6>::new(&robot, &Placement::identity());
+            chain.expect("six joints").forward(&q)
+        });
+        assert!(pose_error(&own, &other).amax() < 1e-12);
     }
 
     #[test]
     fn an_excitation_is_followed_through_its_singularities() {
         let robot = ur5();
         let inverse = Inverse::<6>::new(&robot, &Placement::identity()).expect("six joints");
-        let series =
-            Excitation::quick(&robot, 5, &QuickConfig::default(), || ()).expect("feasible");
+        let series = Excitation::quick(&robot, 5, 10.0, 200, || ()).expect("feasible");
         let at = |k: i32| series.at::<6>(f64::from(k) * 1e-3);
         let mut q = at(0).q;
         let mut worst = 0.0_f64;
@@ -323,9 +311,8 @@ mod tests {
             let (before, now) = (at(k - 1), at(k));
             let predicted = q + (before.qd + now.qd) * 0.5e-3;
             let target = inverse.chain().forward(&now.q);
-            q = inverse
-                .onwards(&target, &predicted, 0.1)
-                .expect("it is there");
+            let found = inverse.onwards(&target, &predicted, 0.1);
+            q = found.expect("it is there");
             worst = worst.max((q - now.q).amax());
         }
         assert!(worst < 1e-6, "{worst} rad");
@@ -356,24 +343,19 @@ mod tests {
     #[test]
     fn an_unreachable_pose_is_refused_with_its_reason() {
         let inverse = Inverse::<6>::new(&ur5(), &Placement::identity()).expect("six joints");
-        let at = |x: f64, y: f64, z: f64| {
-            Placement::from_xyz_rpy(
-                Vector3::new(x, y, z),
-                Vector3::new(std::f64::consts::PI, 0.0, 0.0),
-            )
-        };
-        let near = Joints::zeros();
-        let reason = |target| {
-            inverse
-                .nearest(&target, &near)
-                .expect_err("nowhere")
-                .to_string()
-        };
-        assert!(reason(at(1.2, 0.0, 0.3)).contains("the arm is 0.817 m long"));
-        assert!(
-            reason(at(0.0, 0.05, 0.3))
-                .contains("from the axis of joint 1, the arm passes it at 0.109 m")
-        );
+        let down = Vector3::new(std::f64::consts::PI, 0.0, 0.0);
+        let at = |x, y, z| Placement::from_xyz_rpy(Vector3::new(x, y, z), down);
+        for (target, wanted) in [
+            (at(1.2, 0.0, 0.3), "the arm is 0.817 m long"),
+            (
+                at(0.0, 0.05, 0.3),
+                "from the axis of joint 1, the arm passes it at 0.109 m",
+            ),
+        ] {
+            let error = inverse.nearest(&target, &Joints::zeros());
+            let text = error.expect_err("nowhere").to_string();
+            assert!(text.contains(wanted), "{text}");
+        }
         let panda = Robot::load("panda").expect("built in");
         let inverse = Inverse::<7>::new(&panda, &Placement::identity()).expect("seven joints");
         let error = inverse.nearest(&at(1.5, 0.0, 0.3), &Joints::zeros());

@@ -28,13 +28,6 @@ pub struct Chain<const N: usize> {
     tip: Placement,
 }
 
-/// Base-frame geometry of all joints and of the tip at one position.
-struct Frames<const N: usize> {
-    axis: [Vector3<f64>; N],
-    origin: [Vector3<f64>; N],
-    tip: Placement,
-}
-
 impl<const N: usize> Chain<N> {
     /// The arm with `tool` on its flange; `None` when the robot has not `N` joints.
     pub fn new(robot: &Robot, tool: &Placement) -> Option<Self> {
@@ -54,17 +47,17 @@ impl<const N: usize> Chain<N> {
     /// assert!((chain.forward(&Joints::zeros()).origin.x + 0.425 + 0.39225).abs() < 1e-12);
     /// ```
     pub fn forward(&self, q: &Joints<N>) -> Placement {
-        self.frames(q).tip
+        self.frames(q).1
     }
 
     /// Geometric Jacobian, 6 × N: column j is the tip's twist when joint j turns at 1 rad/s.
     ///
     /// `J_j = (z_j × (p − o_j), z_j)`                                             [Siciliano et al. 2009, eq. 3.30]
     pub fn jacobian(&self, q: &Joints<N>) -> SMatrix<f64, 6, N> {
-        let frames = self.frames(q);
-        SMatrix::<f64, 6, N>::from_columns(&std::array::from_fn::<_, N, _>(|j| {
-            let lever = frames.tip.origin - frames.origin[j];
-            stacked(&frames.axis[j].cross(&lever), &frames.axis[j])
+        let (frames, tip) = self.frames(q);
+        SMatrix::<f64, 6, N>::from_columns(&frames.map(|frame| {
+            let axis = axis(&frame);
+            stacked(&axis.cross(&(tip.origin - frame.origin)), &axis)
         }))
     }
 
@@ -72,25 +65,26 @@ impl<const N: usize> Chain<N> {
     ///
     /// `ż_j = ω_j × z_j`, `d/dt (z_j × l) = ż_j × l + z_j × (ṗ − ȯ_j)`, ω_j of the link before joint j.
     pub fn jacobian_rate(&self, q: &Joints<N>, qd: &Joints<N>) -> SMatrix<f64, 6, N> {
-        let frames = self.frames(q);
-        let mut omega = Vector3::zeros();
-        let mut velocity = Vector3::zeros();
-        let mut moving = [(Vector3::zeros(), Vector3::zeros()); N];
-        for j in 0..N {
+        let (frames, tip) = self.frames(q);
+        let (mut omega, mut velocity) = (Vector3::zeros(), Vector3::zeros());
+        let moving: [_; N] = std::array::from_fn(|j| {
             if j > 0 {
-                velocity += omega.cross(&(frames.origin[j] - frames.origin[j - 1]));
+                velocity += omega.cross(&(frames[j].origin - frames[j - 1].origin));
             }
-            moving[j] = (omega, velocity);
-            omega += frames.axis[j] * qd[j];
-        }
-        let last = frames.origin.last().copied().unwrap_or_default();
-        let tip_velocity = velocity + omega.cross(&(frames.tip.origin - last));
+            let before = (omega, velocity);
+            omega += axis(&frames[j]) * qd[j];
+            before
+        });
+        let last = frames.last().map_or(tip.origin, |last| last.origin);
+        let tip_velocity = velocity + omega.cross(&(tip.origin - last));
         SMatrix::<f64, 6, N>::from_columns(&std::array::from_fn::<_, N, _>(|j| {
-            let (omega, velocity) = moving[j];
-            let lever = frames.tip.origin - frames.origin[j];
-            let axis_rate = omega.cross(&frames.axis[j]);
-            let linear = axis_rate.cross(&lever) + frames.axis[j].cross(&(tip_velocity - velocity));
-            stacked(&linear, &axis_rate)
+            let ((omega, velocity), axis) = (moving[j], axis(&frames[j]));
+            let axis_rate = omega.cross(&axis);
+            let turned = axis_rate.cross(&(tip.origin - frames[j].origin));
+            stacked(
+                &(turned + axis.cross(&(tip_velocity - velocity))),
+                &axis_rate,
+            )
         }))
     }
 
@@ -119,21 +113,20 @@ impl<const N: usize> Chain<N> {
         Some((qd, qdd))
     }
 
-    fn frames(&self, q: &Joints<N>) -> Frames<N> {
-        let zero = [Vector3::zeros(); N];
-        let (mut axis, mut origin) = (zero, zero);
+    /// Frames of the joints, and the tip, in the base frame.
+    fn frames(&self, q: &Joints<N>) -> ([Placement; N], Placement) {
         let mut frame = Placement::identity();
-        for k in 0..N {
+        let frames = std::array::from_fn(|k| {
             frame = frame.then(&self.placements[k]).turned(q[k]);
-            axis[k] = frame.rot_parent_child.column(2).into_owned();
-            origin[k] = frame.origin;
-        }
-        Frames {
-            axis,
-            origin,
-            tip: frame.then(&self.tip),
-        }
+            frame
+        });
+        (frames, frame.then(&self.tip))
     }
+}
+
+/// Axis of a joint in the frame in which its own is placed.
+fn axis(frame: &Placement) -> Vector3<f64> {
+    frame.rot_parent_child.column(2).into_owned()
 }
 
 /// The twist of a linear and an angular part.
@@ -165,14 +158,10 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    fn arms() -> (Chain<6>, Chain<7>) {
-        let load = |name| Robot::load(name).expect("built in");
-        let tool =
-            Placement::from_xyz_rpy(Vector3::new(0.1, -0.05, 0.2), Vector3::new(0.3, 0.2, -1.0));
-        (
-            Chain::new(&load("ur5"), &tool).expect("six joints"),
-            Chain::new(&load("panda"), &tool).expect("seven joints"),
-        )
+    fn arm<const N: usize>(name: &str) -> Chain<N> {
+        let (xyz, rpy) = (Vector3::new(0.1, -0.05, 0.2), Vector3::new(0.3, 0.2, -1.0));
+        let robot = Robot::load(name).expect("built in");
+        Chain::new(&robot, &Placement::from_xyz_rpy(xyz, rpy)).expect("its size")
     }
 
     fn derivatives_agree<const N: usize>(chain: &Chain<N>) {
@@ -189,9 +178,8 @@ mod tests {
 
     #[test]
     fn the_jacobian_and_its_rate_are_derivatives_of_the_pose() {
-        let (ur5, panda) = arms();
-        derivatives_agree(&ur5);
-        derivatives_agree(&panda);
+        derivatives_agree::<6>(&arm("ur5"));
+        derivatives_agree::<7>(&arm("panda"));
     }
 
     fn motion_is_given_back<const N: usize>(chain: &Chain<N>) {
@@ -223,16 +211,14 @@ mod tests {
 
     #[test]
     fn joint_motion_moves_the_tip_as_asked() {
-        let (ur5, panda) = arms();
-        motion_is_given_back(&ur5);
-        motion_is_given_back(&panda);
+        motion_is_given_back::<6>(&arm("ur5"));
+        motion_is_given_back::<7>(&arm("panda"));
     }
 
     #[test]
     fn a_stretched_arm_has_lost_a_direction() {
-        let (ur5, _) = arms();
         let straight = Joints::<6>::from_row_slice(&[0.3, -1.0, 0.0, 0.4, 1.0, 0.2]);
         let still = Twist::zeros();
-        assert!(ur5.joint_motion(&straight, &still, &still).is_none());
+        assert!(arm("ur5").joint_motion(&straight, &still, &still).is_none());
     }
 }

@@ -168,7 +168,7 @@ fn arming_that_fails_switches_every_drive_off_again() {
             if player.arm().is_err() {
                 // The watchdog of a drive that no command reaches ends its torque.
                 let reached = (0..6).filter(|joint| fault != LineFault::LostCommands(*joint, 1.0));
-                let mut states = reached.map(|joint| player.network.drives[joint].state());
+                let mut states = reached.map(|joint| player.network.drives[joint].state);
                 let off = states.all(|state| state != DriveState::Enabled);
                 assert!(off, "{fault:?} from {from_s} s");
                 failed += 1;

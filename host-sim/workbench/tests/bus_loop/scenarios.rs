@@ -211,7 +211,7 @@ fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque
             for (drive, other) in wrong.network.drives.iter_mut().zip(&other.joint) {
                 *drive = SimulatedDrive::new(DriveTruth {
                     profile: other.drive,
-                    ..*drive.truth()
+                    ..drive.truth
                 });
             }
             let refused = wrong.arm().expect_err("the scales differ").to_string();

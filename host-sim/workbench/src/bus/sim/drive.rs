@@ -37,13 +37,14 @@ pub struct DriveTruth {
 /// Drive with proportional and derivative action of its own.
 #[derive(Clone, Debug)]
 pub struct SimulatedDrive {
-    pub(super) truth: DriveTruth,
-    pub(super) state: DriveState,
+    /// Properties that no frame shows.
+    pub truth: DriveTruth,
+    /// State that it reports.
+    pub state: DriveState,
     command: JointCommand,
     silent_s: f64,
     previous: Option<f64>,
     speed: f64,
-    torque: f64,
     reported: f64,
 }
 
@@ -57,19 +58,8 @@ impl SimulatedDrive {
             silent_s: 0.0,
             previous: None,
             speed: 0.0,
-            torque: 0.0,
             reported: 0.0,
         }
-    }
-
-    /// Properties that no frame shows.
-    pub fn truth(&self) -> &DriveTruth {
-        &self.truth
-    }
-
-    /// State that it reports.
-    pub fn state(&self) -> DriveState {
-        self.state
     }
 
     /// Feed-forward that it has taken from its last command, N·m at the joint; 0 while it is off.
@@ -91,15 +81,8 @@ impl SimulatedDrive {
     /// The frames have a position and no speed: the drive takes it from one target to the next (CiA 402-2, cyclic
     /// synchronous position).
     fn derives_speed(&self) -> bool {
-        match self.truth.profile.protocol {
-            Protocol::Cia402(cia402) => cia402.mode == ControlMode::Position,
-            _ => false,
-        }
-    }
-
-    /// Starts over, as after a break of its supply.
-    pub(super) fn reset(&mut self) {
-        *self = Self::new(self.truth);
+        let protocol = self.truth.profile.protocol;
+        matches!(protocol, Protocol::Cia402(cia402) if cia402.mode == ControlMode::Position)
     }
 
     /// One period of its own loop at position `q`, rad: the torque, N·m at the joint.
@@ -122,9 +105,8 @@ impl SimulatedDrive {
         };
         let most = f64::from(self.truth.profile.largest_torque());
         let asked = wanted.clamp(-most, most);
-        self.torque = asked * self.truth.gain;
         self.reported += (asked - self.reported) * blend;
-        self.torque
+        asked * self.truth.gain
     }
 
     /// Takes a frame from the bus; frames of its answer.

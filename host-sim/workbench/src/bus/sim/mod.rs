@@ -109,14 +109,16 @@ impl<const N: usize> SimulatedNetwork<N> {
     /// Every drive is switched off.
     pub fn all_off(&self) -> bool {
         let mut drives = self.drives.iter();
-        drives.all(|drive| drive.state() != DriveState::Enabled)
+        drives.all(|drive| drive.state != DriveState::Enabled)
     }
 
     /// One period of the drives.
     fn step(&mut self) {
         let t_s = self.t_s();
         match self.fault.beginning(t_s, DRIVE_PERIOD_S) {
-            Some(LineFault::Reset(j)) => self.drives[j].reset(),
+            Some(LineFault::Reset(j)) => {
+                self.drives[j] = SimulatedDrive::new(self.drives[j].truth);
+            }
             Some(LineFault::DriveFault(j, code)) => self.drives[j].state = DriveState::Fault(code),
             Some(LineFault::Interrupt) => self.interrupted = true,
             _ => {}
@@ -128,7 +130,7 @@ impl<const N: usize> SimulatedNetwork<N> {
         let acts = |drive: &SimulatedDrive| {
             let (kp, kd) = drive.gains();
             let step = f64::from(drive.truth.profile.torque_resolution());
-            drive.state() == DriveState::Enabled
+            drive.state == DriveState::Enabled
                 && kp + kd + (drive.feed_forward().abs() - step).max(0.0) > 0.0
         };
         if self.braked {
