@@ -182,7 +182,7 @@ mod tests {
     use foretorque::joint::JointVector;
     use foretorque_workbench::dynamics::State;
     use foretorque_workbench::plant::Measurement;
-    use foretorque_workbench::table::{StateReader, TimeColumn};
+    use foretorque_workbench::table::read_states;
 
     fn record(tick: usize) -> TickRecord<1> {
         let t_s = tick as f64 * PERIOD_S;
@@ -216,18 +216,16 @@ mod tests {
             lost.reported = None;
             log.add(&lost).expect("writes");
             log.finish().expect("finishes");
-            let rows = StateReader::<1>::open(&path, TimeColumn::Required)
-                .and_then(StateReader::read_all)
-                .expect("reads");
+            let rows = read_states::<1>(&path).expect("reads");
             assert_eq!(rows.len(), ticks);
-            for (tick, row) in rows.iter().enumerate() {
+            for (tick, (row_s, motion)) in rows.into_iter().enumerate() {
                 let t_s = tick as f64 * PERIOD_S;
-                assert_eq!(row.t_s, Some(t_s));
-                assert_eq!(row.motion.q[0], 1.0 + (3.0 * t_s).sin());
+                assert_eq!(row_s, t_s);
+                assert_eq!(motion.q[0], 1.0 + (3.0 * t_s).sin());
                 if ticks >= 5 {
                     // A quadratic over 31 ms of 3 rad/s: the third derivative shows at the ends only.
-                    assert!((row.motion.qd[0] - 3.0 * (3.0 * t_s).cos()).abs() < 5e-3);
-                    assert!((row.motion.qdd[0] + 9.0 * (3.0 * t_s).sin()).abs() < 0.5);
+                    assert!((motion.qd[0] - 3.0 * (3.0 * t_s).cos()).abs() < 5e-3);
+                    assert!((motion.qdd[0] + 9.0 * (3.0 * t_s).sin()).abs() < 0.5);
                 }
             }
         }

@@ -9,9 +9,7 @@ use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::{RigidBodies, State};
 use foretorque_workbench::joints;
 use foretorque_workbench::robot::Robot;
-use foretorque_workbench::table::{
-    StateReader, StateRow, TableError, TableWriter, TimeColumn, joint_columns,
-};
+use foretorque_workbench::table::{StateReader, TableError, TableWriter, joint_columns};
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::PathBuf;
 
@@ -63,24 +61,21 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     on_arm!(robot, A, N, P => torque::<A, N, P>(arguments, robot))
 }
 
-/// States one after the other, from a table or a trajectory.
-type States<const N: usize> = Box<dyn Iterator<Item = Result<StateRow<N>, TableError>>>;
+/// Times, s, and states one after the other, from a table or a trajectory.
+type States<const N: usize> = Box<dyn Iterator<Item = Result<(Option<f64>, State<N>), TableError>>>;
 
 impl Arguments {
     /// Whether the states have times, and the states.
     fn states<const N: usize>(&self, robot: &Robot) -> Result<(bool, States<N>), Failure> {
         if let Some(path) = &self.input {
-            let states = StateReader::<N>::open(path, TimeColumn::Optional)?;
+            let states = StateReader::<N>::open(path)?;
             return Ok((states.has_time(), Box::new(states)));
         }
         let name = self.trajectory.as_deref().unwrap_or_default();
         let path = Trajectory::<N>::load(name, robot, self.seed, None, PERIOD_S)?;
         let states = (0..=path.ticks(PERIOD_S)).map(move |tick| {
             let t_s = tick as f64 * PERIOD_S;
-            Ok(StateRow {
-                t_s: Some(t_s),
-                motion: path.at(t_s),
-            })
+            Ok((Some(t_s), path.at(t_s)))
         });
         Ok((true, Box::new(states)))
     }
@@ -102,12 +97,12 @@ impl Arguments {
         let mut table = TableWriter::create(&self.out, &header)?;
         let (bar, mut rows) = (Bar::new(), 0);
         for state in states {
-            let state = state?;
+            let (t_s, state) = state?;
             rows += 1;
-            let Some(torques) = torques(&state.motion)? else {
+            let Some(torques) = torques(&state)? else {
                 bail!("state {rows}: its torque is not a number: are these rad, rad/s and rad/s²?");
             };
-            let time = state.t_s.iter().map(f64::to_string);
+            let time = t_s.iter().map(f64::to_string);
             table.row(time.chain(torques.iter().map(T::to_string)))?;
             if rows % 256 == 0 {
                 bar.show("torque", rows, rows);

@@ -24,13 +24,14 @@ enum Columns {
 }
 use Columns::{Board, Joints};
 
+const STATE: &str = "flags safety_state safety_reason";
+const QUALITY: &str = "trust information payload_kg guard_phase";
+const DECISION: &str = "decisions decision_reason decision_joint decision_figure";
+const LOSS: &str = "frames_missed frames_refused replies_lost overruns";
+
 /// The fields with their names on the command line, in the order of a record.
 const FIELDS: [(&str, Field, Columns); Field::ALL.len()] = [
-    (
-        "state",
-        Field::State,
-        Board("flags safety_state safety_reason"),
-    ),
+    ("state", Field::State, Board(STATE)),
     ("total", Field::Total, Joints("nm")),
     ("rigid", Field::Rigid, Joints("nm")),
     ("friction", Field::Friction, Joints("nm")),
@@ -40,22 +41,10 @@ const FIELDS: [(&str, Field, Columns); Field::ALL.len()] = [
     ("q", Field::MeasuredPosition, Joints("rad")),
     ("tau", Field::MeasuredTorque, Joints("nm")),
     ("residual", Field::Residual, Joints("of_limit")),
-    (
-        "quality",
-        Field::Quality,
-        Board("trust information payload_kg guard_phase"),
-    ),
-    (
-        "decision",
-        Field::Decision,
-        Board("decisions decision_reason decision_joint decision_figure"),
-    ),
+    ("quality", Field::Quality, Board(QUALITY)),
+    ("decision", Field::Decision, Board(DECISION)),
     ("cost", Field::Cost, Board("tick_counts learn_counts")),
-    (
-        "loss",
-        Field::Loss,
-        Board("frames_missed frames_refused replies_lost overruns"),
-    ),
+    ("loss", Field::Loss, Board(LOSS)),
     ("temperature", Field::Temperature, Joints("c")),
 ];
 

@@ -128,38 +128,34 @@ mod tests {
         let boot = Duration::from_secs(1);
         let mut board = Client::<6>::connect::<Ur5, 40>(native, boot).expect("it answers");
         let selection: Selection = "all/20".parse().expect("all fields");
-        board
-            .stream(selection.fields, selection.every)
-            .expect("it has the bandwidth");
+        let streams = board.stream(selection.fields, selection.every);
+        streams.expect("it has the bandwidth");
         let mut frames = Vec::new();
         for tick in 0..2000 {
             let mut desired = JointMotion::<6>::zero();
             desired.q.fill((1e-3 * tick as f32).sin() * 0.1);
             let tau = JointVector::zeros();
             let measured = Some(JointMeasurement { q: desired.q, tau });
-            board
-                .sample(&JointSample { desired, measured })
-                .expect("it answers");
+            let answer = board.sample(&JointSample { desired, measured });
+            answer.expect("it answers");
             frames.extend(board.take_telemetry());
         }
         let here = tempfile::tempdir().expect("it can be created");
-        let [own, along] = ["own.csv", "along.csv"].map(|name| here.path().join(name));
-        let mut recorder = Recorder::create(&own, selection, 6, 1e-3).expect("it can be written");
-        recorder.take(&frames).expect("it can be written");
-        let (records, incomplete) = recorder.finish().expect("it can be written");
-        assert_eq!((records, incomplete), (100, 0));
+        let files = ["own.csv", "along.csv", "cut.csv"];
+        let [own, along, cut] = files.map(|name| here.path().join(name));
+        let recorded = |path: &Path, frames: &[TelemetryFrame]| {
+            let mut recorder = Recorder::create(path, selection, 6, 1e-3)?;
+            recorder.take(frames)?;
+            recorder.finish()
+        };
+        let whole = recorded(&own, &frames).expect("it can be written");
+        assert_eq!(whole, (100, 0));
         // The last record has lost its last frame.
-        let cut = here.path().join("cut.csv");
-        let mut recorder = Recorder::create(&cut, selection, 6, 1e-3).expect("it can be written");
-        let (_, begun) = frames.split_last().expect("there are frames");
-        recorder.take(begun).expect("it can be written");
-        assert_eq!(recorder.finish().expect("it can be written"), (99, 1));
+        let begun = recorded(&cut, &frames[..frames.len() - 1]);
+        assert_eq!(begun.expect("it can be written"), (99, 1));
         let mut bytes = sent(BoardMessage::Hello(board.hello().clone()));
-        bytes.extend(
-            frames
-                .into_iter()
-                .flat_map(|frame| sent(BoardMessage::Telemetry(frame))),
-        );
+        let frames = frames.into_iter().map(BoardMessage::Telemetry);
+        bytes.extend(frames.flat_map(sent));
         let mut telemetry_tap = TelemetryTap::new(&along, 0.5);
         for part in bytes.chunks(37) {
             telemetry_tap.take(part).expect("it can be written");

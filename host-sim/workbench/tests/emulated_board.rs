@@ -1,6 +1,8 @@
 //! The firmware in the emulator, through its real links.
 
-use crate::trial::{Dialogue, TIMEOUT, connected, credible, native, sample, scratch, started};
+use crate::trial::{
+    Dialogue, TIMEOUT, connected, credible, native, paced, sample, scratch, started,
+};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_f405::chip;
 use foretorque_link::wire::{Configuration, CounterKind, Pacing};
@@ -95,22 +97,15 @@ fn costs_repeat_from_run_to_run() {
 fn the_timer_runs_the_tick_at_its_period_when_it_paces() {
     let mut client = client(Image::Joint);
     client.set_timeout(TIMEOUT);
-    let configuration = Configuration {
-        period_us: 2000,
-        pacing: Pacing::SysTick,
-        ..Configuration::default()
-    };
-    let configured = client.configure(configuration);
-    configured.expect("the board has a timer");
+    paced(&mut client, 2000, Pacing::SysTick);
     let mut last = None;
     for k in 0..20 {
         let reply = client.sample(&sample(k)).expect("an answer");
         assert!(last.is_none_or(|last| reply.tick > last), "ticks go on");
         last = Some(reply.tick);
     }
-    // And back.
-    let configured = client.configure(Configuration::default());
-    configured.expect("the link paces again");
+    // And back: the link paces again.
+    client.configure(Configuration::default()).expect("a board");
     assert_eq!(client.sample(&sample(0)).expect("a torque").tick, 0);
     assert_eq!(client.sample(&sample(1)).expect("a torque").tick, 1);
 }
@@ -146,13 +141,8 @@ fn a_board_out_of_scope_leaves_no_process_and_the_bulk_firmware_ends_by_itself()
 #[test]
 fn a_firmware_that_is_missing_or_none_is_reported() {
     let none = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
-    for (elf, words) in [
-        (
-            "/nowhere/joint",
-            &["no firmware at /nowhere/joint", "`cargo xtask arm`"][..],
-        ),
-        (none, &["died", "fatal"]),
-    ] {
+    let missing = ["no firmware at /nowhere/joint", "`cargo xtask arm`"];
+    for (elf, words) in [("/nowhere/joint", missing), (none, ["died", "fatal"])] {
         let mut options = QemuOptions::new(Image::Joint);
         options.elf = elf.into();
         let text = Emulator::start(&options).expect_err(elf).to_string();
@@ -169,13 +159,7 @@ fn no_learning_sample_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
     for (pacing, samples) in [(Pacing::Link, 700), (Pacing::SysTick, 100)] {
         let mut client = client(Image::Joint);
         client.set_timeout(TIMEOUT);
-        let configuration = Configuration {
-            period_us: 1000,
-            pacing,
-            ..Configuration::default()
-        };
-        let configured = client.configure(configuration);
-        configured.expect("the board's own period");
+        paced(&mut client, 1000, pacing);
         client.learning(true).expect("the board learns");
         for k in 0..samples {
             client.sample(&credible(k)).expect("a torque");

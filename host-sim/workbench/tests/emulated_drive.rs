@@ -11,6 +11,7 @@ use foretorque::joint::{JointSample, JointVector};
 use foretorque::limits::Flags;
 use foretorque_link::safety::{SafetyReason, SafetyState};
 use foretorque_link::wire::Field;
+use foretorque_workbench::board::Client;
 use foretorque_workbench::board::log::Messages;
 use foretorque_workbench::board::qemu::{Image, QemuOptions};
 use std::fs;
@@ -72,15 +73,20 @@ fn equipped(name: &str, angle: u16, encoder_ends: u16, drive_ends: u16) -> Trial
     start(name, &patches)
 }
 
+/// Arms a board and lets its torque rise.
+fn arm(client: &mut Client<JOINTS>) {
+    for _ in 0..5 {
+        client.sample(&still()).expect("a torque");
+    }
+    client.arm(&still()).expect("it can be armed");
+    for _ in 0..30 {
+        client.sample(&still()).expect("a torque");
+    }
+}
+
 fn armed(name: &str, encoder_ends: u16, drive_ends: u16) -> Trial {
     let mut trial = equipped(name, 0, encoder_ends, drive_ends);
-    for _ in 0..5 {
-        trial.sample(&still());
-    }
-    trial.client.arm(&still()).expect("it can be armed");
-    for _ in 0..30 {
-        trial.sample(&still());
-    }
+    arm(&mut trial.client);
     let stage = trial.stage();
     let driven = stage.enabled && stage.gate && stage.width > 100;
     assert!(driven, "{stage:?}");
@@ -250,13 +256,7 @@ fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
 fn the_pulse_width_is_the_torque_of_the_joint_that_is_answered() {
     let mut trial = armed("width", NEVER, NEVER);
     let mut native = connected(native());
-    for _ in 0..5 {
-        native.sample(&still()).expect("a torque");
-    }
-    native.arm(&still()).expect("it can be armed");
-    for _ in 0..30 {
-        native.sample(&still()).expect("a torque");
-    }
+    arm(&mut native);
     let (mut positive, mut negative) = (0, 0);
     for k in 0..200 {
         let reply = trial.sample(&moving(k));

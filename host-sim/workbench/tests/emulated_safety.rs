@@ -202,10 +202,8 @@ fn a_sealed_program_is_sound_and_one_with_a_flipped_bit_cannot_be_armed() {
         assert_eq!(trial.refusal(), SafetyReason::Image);
         let cleared = trial.client.clear_fault().expect_err("it stays");
         let refused = NackReason::Unsafe(SafetyReason::Image);
-        assert!(
-            matches!(cleared, BoardError::Refused(reason) if reason == refused),
-            "{cleared}"
-        );
+        let stays = matches!(cleared, BoardError::Refused(reason) if reason == refused);
+        assert!(stays, "{cleared}");
         assert!(!enabled(&trial.trace()));
     }
 }
@@ -257,8 +255,7 @@ fn the_watchdog_is_not_fed_when_the_learner_hangs_although_the_tick_goes_on() {
 
 #[test]
 fn a_board_with_a_key_in_its_flash_takes_signed_banks_only() {
-    let key = [0xA7; 16];
-    let file = scratch("board.key");
+    let (key, file) = ([0xA7; 16], scratch("board.key"));
     fs::write(&file, key).expect("the directory is there");
     let mut options = QemuOptions::new(Image::Joint);
     options.key = Some(file);

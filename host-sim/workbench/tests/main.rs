@@ -11,7 +11,7 @@ mod emulated_safety;
 mod python;
 mod trial;
 
-use crate::trial::{connected, credible as sample, native};
+use crate::trial::{connected, credible as sample, native, paced};
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
 use foretorque::dynamics::FrictionColumn;
@@ -189,24 +189,25 @@ fn configuration_is_judged_and_restarts_the_tick() {
     let mut client = client();
     client.sample(&sample(0)).unwrap();
     assert_eq!(client.sample(&sample(1)).unwrap().tick, 1);
-    let mut wanted = Configuration {
-        period_us: 2000,
-        ..Configuration::default()
-    };
-    client.configure(wanted).unwrap();
+    paced(&mut client, 2000, Pacing::Link);
     assert_eq!(client.sample(&sample(2)).unwrap().tick, 0);
-    let refused = |client: &mut Client<N>, wanted| match client.configure(wanted) {
-        Err(BoardError::Refused(reason)) => reason,
-        other => panic!("{other:?}"),
-    };
-    wanted.period_us = 99;
-    assert_eq!(refused(&mut client, wanted), NackReason::Period);
-    wanted.period_us = 1000;
-    wanted.pacing = Pacing::SysTick;
-    assert_eq!(refused(&mut client, wanted), NackReason::NotCapable);
-    client.learning(true).unwrap();
-    let default = Configuration::default();
-    assert_eq!(refused(&mut client, default), NackReason::LearningOn);
+    for (learning, period_us, pacing, wanted) in [
+        (false, 99, Pacing::Link, NackReason::Period),
+        (false, 1000, Pacing::SysTick, NackReason::NotCapable),
+        (true, 1000, Pacing::Link, NackReason::LearningOn),
+    ] {
+        client.learning(learning).unwrap();
+        let refused = client.configure(Configuration {
+            period_us,
+            pacing,
+            ..Configuration::default()
+        });
+        let error = refused.expect_err("it is judged");
+        assert!(
+            matches!(error, BoardError::Refused(reason) if reason == wanted),
+            "{error}"
+        );
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use elf::ElfBytes;
 use elf::endian::LittleEndian;
 use elf::segment::ProgramHeader;
+use elf::symbol::Symbol;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::dynamics::FrictionColumn;
 use foretorque::feedforward::{ParameterSet, evaluate};
@@ -31,6 +32,16 @@ pub(crate) fn connected(board: impl Transport + 'static) -> Client<JOINTS> {
 
 pub(crate) fn native() -> Native<Ur5, JOINTS, PARAMETERS> {
     Native::new().expect("the UR5's limits are usable")
+}
+
+/// Sets period and pacing of a board.
+pub(crate) fn paced(client: &mut Client<JOINTS>, period_us: u32, pacing: Pacing) {
+    let configured = client.configure(Configuration {
+        period_us,
+        pacing,
+        ..Configuration::default()
+    });
+    configured.expect("it has a timer");
 }
 
 /// Starts the emulator. A firmware that is not built fails the test with the command that builds it.
@@ -90,15 +101,9 @@ impl Trial {
 
     /// Arms a board that its own timer paces.
     pub(crate) fn arm_paced_by_timer(&mut self) {
-        let configuration = Configuration {
-            // The time-out is some two hundred ticks then. Whenever the board is idle the emulator leaps to its next
-            // tick: a host that gets its turn late has been silent for a while.
-            period_us: 250,
-            pacing: Pacing::SysTick,
-            ..Configuration::default()
-        };
-        let configured = self.client.configure(configuration);
-        configured.expect("it has a timer");
+        // The time-out is some two hundred ticks then. Whenever the board is idle the emulator leaps to its next tick: a host
+        // that gets its turn late has been silent for a while.
+        paced(&mut self.client, 250, Pacing::SysTick);
         for _ in 0..5 {
             self.sample(&still());
         }
@@ -144,20 +149,10 @@ pub(crate) fn patched(elf: &Path, name: &str, patches: &[(&str, Vec<u16>)]) -> P
 pub(crate) fn sealed(elf: &Path, name: &str, damaged: bool) -> PathBuf {
     let mut bytes = fs::read(elf).expect("the firmware is built: `cargo firmware`");
     let file = ElfBytes::<LittleEndian>::minimal_parse(&bytes).expect("it is an ELF");
-    let (symbols, names) = file.symbol_table().unwrap().expect("it has symbols");
-    let mut symbols = symbols.iter();
-    let seal = symbols.find(|symbol| {
-        names
-            .get(symbol.st_name as usize)
-            .is_ok_and(|name| name == image::SYMBOL)
-    });
-    let seal = seal.expect("it has a seal").st_value;
-    let mut parts: Vec<_> = file
-        .segments()
-        .expect("it is linked")
-        .iter()
-        .filter(|part| part.p_type == elf::abi::PT_LOAD && part.p_filesz > 0)
-        .collect();
+    let seal = symbol(&file, |name, _| name == image::SYMBOL).st_value;
+    let parts = file.segments().expect("it is linked").iter();
+    let parts = parts.filter(|part| part.p_type == elf::abi::PT_LOAD && part.p_filesz > 0);
+    let mut parts: Vec<_> = parts.collect();
     parts.sort_by_key(|part| part.p_paddr);
     let base = parts[0].p_paddr;
     let mut program = Vec::new();
@@ -183,22 +178,26 @@ pub(crate) fn sealed(elf: &Path, name: &str, damaged: bool) -> PathBuf {
     file
 }
 
+/// The one symbol that `is` so by its name and type.
+fn symbol(file: &ElfBytes<'_, LittleEndian>, is: impl Fn(&str, u8) -> bool) -> Symbol {
+    let (symbols, names) = file.symbol_table().unwrap().expect("it has symbols");
+    let found = symbols.iter().filter(|symbol| {
+        let name = names.get(symbol.st_name as usize);
+        name.is_ok_and(|name| is(name, symbol.st_symtype()))
+    });
+    let found: Vec<_> = found.collect();
+    assert_eq!(found.len(), 1, "{found:?}");
+    found[0].clone()
+}
+
 /// Offset of the function in the file, and its bytes.
 fn function(bytes: &[u8], part: &str) -> (usize, usize) {
     let elf = ElfBytes::<LittleEndian>::minimal_parse(bytes).expect("it is an ELF");
-    let (symbols, names) = elf.symbol_table().unwrap().expect("it has symbols");
-    let named = |place: u32| names.get(place as usize).is_ok_and(|n| n.contains(part));
-    let functions = symbols
-        .iter()
-        .filter(|entry| entry.st_symtype() == elf::abi::STT_FUNC);
-    let found: Vec<_> = functions.filter(|entry| named(entry.st_name)).collect();
-    let [symbol] = found.as_slice() else {
-        panic!("{} functions are called {part}", found.len());
-    };
+    let is = |name: &str, kind| kind == elf::abi::STT_FUNC && name.contains(part);
+    let symbol = symbol(&elf, is);
     let sections = elf.section_headers().expect("it has sections");
-    let section = sections
-        .get(usize::from(symbol.st_shndx))
-        .expect("of the function");
+    let section = sections.get(usize::from(symbol.st_shndx));
+    let section = section.expect("of the function");
     // Bit 0 of the address of a function marks Thumb code.
     let place = section.sh_offset + ((symbol.st_value & !1) - section.sh_addr);
     (place as usize, symbol.st_size as usize)
@@ -211,18 +210,16 @@ const LOST: [u32; 6] = [50, 60, 61, 70, 71, 72];
 /// A motion of all joints fast enough to learn from, with a torque that no model explains well.
 pub(crate) fn sample(k: u32) -> JointSample<JOINTS> {
     let t = k as f32 * 1e-3;
-    let phase = |joint: usize| t * (2.0 + 0.3 * joint as f32) + joint as f32;
     let rate = |joint: usize| 2.0 + 0.3 * joint as f32;
+    let phase = |joint: usize| t * rate(joint) + joint as f32;
     let desired = JointMotion {
         q: JointVector::from_fn(|j, _| phase(j).sin()),
         qd: JointVector::from_fn(|j, _| rate(j) * phase(j).cos()),
         qdd: JointVector::from_fn(|j, _| -rate(j) * rate(j) * phase(j).sin()),
     };
     let tau = JointVector::from_fn(|j, _| 4.0 * phase(j).cos() + 2.0 * (3.0 * phase(j)).sin());
-    JointSample {
-        desired,
-        measured: Some(JointMeasurement { q: desired.q, tau }),
-    }
+    let measured = Some(JointMeasurement { q: desired.q, tau });
+    JointSample { desired, measured }
 }
 
 /// The motion with the torques of an arm a tenth heavier than its description and with friction.
@@ -233,13 +230,10 @@ pub(crate) fn credible(k: u32) -> JointSample<JOINTS> {
         friction[FrictionColumn::Viscous] = 2.0;
         friction[FrictionColumn::Coulomb] = 1.0;
     }
-    let mut sample = sample(k);
-    let tau = evaluate::<Ur5, JOINTS, PARAMETERS>(&truth, &sample.desired).total;
-    sample.measured = Some(JointMeasurement {
-        q: sample.desired.q,
-        tau,
-    });
-    sample
+    let desired = sample(k).desired;
+    let tau = evaluate::<Ur5, JOINTS, PARAMETERS>(&truth, &desired).total;
+    let measured = Some(JointMeasurement { q: desired.q, tau });
+    JointSample { desired, measured }
 }
 
 /// One conversation, question by question, as raw bytes.

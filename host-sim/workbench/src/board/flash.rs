@@ -156,10 +156,8 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
     }
 
     fn has_power(&self) -> Result<(), NorFlashErrorKind> {
-        match self.powered {
-            true => Ok(()),
-            false => Err(NorFlashErrorKind::Other),
-        }
+        let powered = self.powered.then_some(());
+        powered.ok_or(NorFlashErrorKind::Other)
     }
 
     /// Counts one step; what the power leaves of it.

@@ -10,7 +10,6 @@ use elf::ElfBytes;
 use elf::endian::LittleEndian;
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 /// The messages that a firmware may log.
 #[derive(Clone, Debug)]
@@ -71,12 +70,8 @@ impl Messages {
     }
 
     fn message(&self, index: u16) -> Result<&Message, Refusal> {
-        let unknown = || {
-            Refusal(format!(
-                "the log is of another firmware: no message {index}"
-            ))
-        };
-        self.0.get(&index).ok_or_else(unknown)
+        let unknown = || format!("the log is of another firmware: no message {index}");
+        self.0.get(&index).ok_or_else(|| Refusal(unknown()))
     }
 
     /// Appends `text` with its values in their places.
@@ -85,19 +80,16 @@ impl Messages {
         let fragments =
             defmt_parser::parse(text, ParserMode::ForwardsCompatible).map_err(|_| unreadable())?;
         // Values come once each, in the order of their indices.
-        let mut parameters: Vec<&Parameter> = fragments
-            .iter()
-            .filter_map(|fragment| match fragment {
-                Fragment::Parameter(parameter) => Some(parameter),
-                Fragment::Literal(_) => None,
-            })
-            .collect();
-        parameters.sort_by_key(|parameter| parameter.index);
-        parameters.dedup_by_key(|parameter| parameter.index);
+        let mut parameters = BTreeMap::new();
+        for fragment in &fragments {
+            if let Fragment::Parameter(parameter) = fragment {
+                parameters.entry(parameter.index).or_insert(parameter);
+            }
+        }
         let mut written = BTreeMap::new();
-        for parameter in parameters {
+        for (index, parameter) in parameters {
             let value = self.value(parameter, values)?.ok_or_else(unreadable)?;
-            written.insert(parameter.index, value);
+            written.insert(index, value);
         }
         for fragment in &fragments {
             match fragment {
@@ -174,12 +166,8 @@ impl Values<'_> {
         let length = self.number(4)? as usize;
         let (bytes, rest) = self.0.split_at_checked(length)?;
         self.0 = rest;
-        let mut text = String::new();
         // A text that is none is shown as far as it is one.
-        for chunk in bytes.utf8_chunks() {
-            let _ = write!(text, "{}", chunk.valid());
-        }
-        Some(text)
+        Some(bytes.utf8_chunks().map(|chunk| chunk.valid()).collect())
     }
 }
 
@@ -192,23 +180,17 @@ mod tests {
             let (tag, text) = (tag.to_owned(), text.to_owned());
             (index, Message { tag, text })
         };
+        let pair = "Pair {{ first: {=u16}, again: {0=u16} }}";
         let all = [
             (1, "defmt_info", "boot {} at {=u32:#x}, {=str}{=bool}"),
             (2, "defmt_derived", "Crystal|Bare({=u8})"),
-            (
-                3,
-                "defmt_derived",
-                "Pair {{ first: {=u16}, again: {0=u16} }}",
-            ),
+            (3, "defmt_derived", pair),
         ];
         Messages(all.map(message).into())
     }
 
     fn stream(frame: &[u8]) -> Vec<u8> {
-        let mut stream = vec![0];
-        stream.extend(rzcobs::encode(frame));
-        stream.push(0);
-        stream
+        [&[0], &rzcobs::encode(frame)[..], &[0]].concat()
     }
 
     #[test]
@@ -230,10 +212,8 @@ mod tests {
         assert!(unknown.0.ends_with("no message 9"), "{unknown}");
         for short in [&[1, 0][..], &[1, 0, 2], &[1, 0, 2, 0, 5, 1], &[3, 0, 5]] {
             let error = messages().line(0, short).expect_err("too short");
-            assert!(
-                error.0.starts_with("the log gives no values for"),
-                "{error}"
-            );
+            let message = "the log gives no values for";
+            assert!(error.0.starts_with(message), "{error}");
         }
         let error = Messages::of(b"text").expect_err("no ELF");
         assert!(error.0.contains("no table of log messages"), "{error}");

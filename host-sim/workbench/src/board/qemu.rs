@@ -68,19 +68,16 @@ impl Emulator {
         ];
         for (file, start) in contents {
             if let Some(file) = file {
-                command.arg("-device").arg(format!(
-                    "loader,file={},addr={start:#x},force-raw=on",
-                    file.display()
-                ));
+                let file = file.display();
+                let loader = format!("loader,file={file},addr={start:#x},force-raw=on");
+                command.args(["-device", &loader]);
             }
         }
         if let Some(trace) = &options.trace {
             command.args(["-d", "unimp", "-D"]).arg(trace);
         }
         if let Some(shift) = options.icount_shift {
-            command
-                .arg("-icount")
-                .arg(format!("shift={shift},sleep=off"));
+            command.args(["-icount", &format!("shift={shift},sleep=off")]);
         }
         let (to_board, from_board, mut kept) = match options.image {
             Image::Joint => usart_link(&mut command, options.log.as_deref())?,
@@ -153,11 +150,6 @@ impl Emulator {
         self.from_board.as_ref().unwrap_or(&self.to_board)
     }
 
-    /// Bytes, or the end of them, come within `timeout`.
-    fn readable(&self, timeout: Duration) -> io::Result<bool> {
-        ready(self.receiving_end().as_fd(), PollFlags::POLLIN, timeout)
-    }
-
     /// Why the link is gone: nearly always because the emulator is.
     fn broken(&mut self, error: nix::Error) -> io::Error {
         match self.process.ended(EXIT_WAIT) {
@@ -185,9 +177,9 @@ impl Transport for Emulator {
                 Err(nix::Error::EAGAIN) => {
                     if !ready(self.to_board.as_fd(), PollFlags::POLLOUT, TIMEOUT)? {
                         let waited_s = TIMEOUT.as_secs_f64();
-                        let problem =
-                            format!("the emulated board took no bytes for {waited_s:.1} s");
-                        return Err(io::Error::other(problem));
+                        return Err(io::Error::other(format!(
+                            "the emulated board took no bytes for {waited_s:.1} s"
+                        )));
                     }
                 }
                 Err(error) => return Err(self.broken(error)),
@@ -204,10 +196,12 @@ impl Transport for Emulator {
             return Ok(count);
         }
         loop {
-            if !self.readable(timeout)? {
+            let end = self.receiving_end();
+            // Bytes, or the end of them.
+            if !ready(end.as_fd(), PollFlags::POLLIN, timeout)? {
                 return Ok(0);
             }
-            match nix::unistd::read(self.receiving_end(), buffer) {
+            match nix::unistd::read(end, buffer) {
                 Ok(0) => return Err(self.broken(nix::Error::EPIPE)),
                 Ok(count) => return Ok(count),
                 Err(nix::Error::EINTR | nix::Error::EAGAIN) => {}
@@ -318,12 +312,9 @@ impl Image {
     /// The ELF for the arm called `arm`: that of `cargo xtask arm` where there is one, else [`Self::default_elf`].
     pub fn elf_of(self, arm: &str) -> PathBuf {
         let arms = builds().join("foretorque/arms");
-        let own = arms.join(arm).join(self.name());
-        if own.is_file() {
-            own
-        } else {
-            self.default_elf()
-        }
+        let own = Some(arms.join(arm).join(self.name()));
+        let own = own.filter(|own| own.is_file());
+        own.unwrap_or_else(|| self.default_elf())
     }
 }
 

@@ -79,21 +79,14 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
     ) -> Result<Self, BoardError> {
         let desired = trajectory.at(0.0);
         plant.place(&desired.q);
-        let answer = match board {
-            Some(board) => {
-                let motion = motion_f32(&desired);
-                let answer = board.evaluate(&motion)?.total;
-                board.arm(&JointSample {
-                    desired: motion,
-                    measured: Some(JointMeasurement {
-                        q: motion.q,
-                        tau: answer,
-                    }),
-                })?;
-                answer
-            }
-            None => JointVector::zeros(),
-        };
+        let mut answer = JointVector::zeros();
+        if let Some(board) = board {
+            let desired = motion_f32(&desired);
+            answer = board.evaluate(&desired)?.total;
+            let (q, tau) = (desired.q, answer);
+            let measured = Some(JointMeasurement { q, tau });
+            board.arm(&JointSample { desired, measured })?;
+        }
         Ok(Self {
             pd,
             controller: PdState {
@@ -275,10 +268,7 @@ mod tests {
     fn doubling_the_bandwidth_makes_the_spring_four_times_as_stiff() {
         let robot = Robot::load("ur5").expect("built in");
         let model = ReferenceModel::<6>::new(&robot).expect("six joints");
-        let (soft, stiff) = (
-            PdConfig::tuned(&model, 3.0, 1e-3),
-            PdConfig::tuned(&model, 6.0, 1e-3),
-        );
+        let [soft, stiff] = [3.0, 6.0].map(|hz| PdConfig::tuned(&model, hz, 1e-3));
         for j in 0..6 {
             assert!((stiff.kp[j] / soft.kp[j] - 4.0).abs() < 1e-12);
             assert!((stiff.kd[j] / soft.kd[j] - 2.0).abs() < 1e-12);

@@ -61,19 +61,12 @@ impl LimitCheck {
 
     /// Limit, value and requirement, as of a limit that is not kept.
     fn violation(&self) -> String {
-        let [reached, required] = [self.worst, self.allowed].map(|x| quantity(x, self.unit));
-        format!(
-            "{} of {} {reached}, asked for {required}",
-            self.limit, self.of
-        )
-    }
-}
-
-/// A value with its unit; numbers without one stand alone.
-fn quantity(value: f64, unit: &str) -> String {
-    match unit {
-        "1" => format!("{value:.4}"),
-        unit => format!("{value:.4} {unit}"),
+        let (limit, of, worst, allowed) = (self.limit, &self.of, self.worst, self.allowed);
+        let unit = match self.unit {
+            "1" => String::new(),
+            unit => format!(" {unit}"),
+        };
+        format!("{limit} of {of} {worst:.4}{unit}, asked for {allowed:.4}{unit}")
     }
 }
 
@@ -181,11 +174,9 @@ pub(super) fn certify(
     let (condition_dh, worth, errors) = figures.ok_or_else(unseen)?;
     let of_limits = errors.iter().zip(&robot.joints);
     let condition_board = condition_number(&board, &sparse);
-    let has_dh = robot.joints.iter().all(|joint| joint.dh_frame.is_some());
-    let frames = if has_dh {
-        "standard DH frames"
-    } else {
-        "joint frames"
+    let frames = match robot.joints.iter().all(|joint| joint.dh_frame.is_some()) {
+        true => "standard DH frames",
+        false => "joint frames",
     };
     if config.criterion == Criterion::Constrained && config.condition_limit.is_finite() {
         limits.push(LimitCheck::at_most(
@@ -282,10 +273,8 @@ fn torque_limits(
     let rates = TorqueRates::new(robot);
     let jerk = jerks(excitation);
     let drag = |j: usize, qd: f64| {
-        let friction = &robot.joints[j].friction;
-        friction.viscous * qd
-            + friction.coulomb * (1.0 + friction.stribeck_ratio)
-            + friction.cogging
+        let f = &robot.joints[j].friction;
+        f.viscous * qd + f.coulomb * (1.0 + f.stribeck_ratio) + f.cogging
     };
     // Torques at t_s, and their bounds within half of `step` around it.
     let torques = |t_s: f64, step: f64| {
@@ -295,9 +284,10 @@ fn torque_limits(
         let between = rates.bound(&bounds);
         let here = |j: usize| rigid[j] + drag(j, motion.qd[j].abs());
         let bound = |j: usize| rigid[j] + drag(j, bounds.qd[j]) + between[j] * (0.5 * step);
+        let joints = rigid.len();
         (
-            PerJoint::from_fn(rigid.len(), here),
-            PerJoint::from_fn(rigid.len(), bound),
+            PerJoint::from_fn(joints, here),
+            PerJoint::from_fn(joints, bound),
         )
     };
     let exceeds = |torque: &PerJoint<f64>| {
@@ -355,7 +345,6 @@ fn clearance_limits(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::excitation::Excitation;
     use crate::excitation::series::JointSeries;
 
     /// One joint far from its torque limit, with a fast and light one behind it.
@@ -380,14 +369,10 @@ mod tests {
             joint.limits.torque = fine + 0.3 * between;
         }
         let closer = worst(&robot, 1000);
-        for (j, joint) in robot.joints.iter().enumerate() {
-            let allowed = joint.limits.torque;
-            assert!(
-                0.99 * fine[j] <= closer[j] && closer[j] <= allowed,
-                "joint {j}: {} {} {allowed}",
-                fine[j],
-                closer[j]
-            );
+        for ((joint, fine), closer) in robot.joints.iter().zip(&fine).zip(closer) {
+            let (name, allowed) = (&joint.name, joint.limits.torque);
+            let within = 0.99 * fine <= closer && closer <= allowed;
+            assert!(within, "{name}: {fine} {closer} {allowed}");
         }
         // One that the motion does not keep is missed with any points.
         robot.joints[1].limits.torque = 0.95 * fine[1];

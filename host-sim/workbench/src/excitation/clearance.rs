@@ -152,68 +152,42 @@ mod tests {
         Clearances::new(&Robot::load("ur5").expect("built in"))
     }
 
-    #[test]
-    fn a_hanging_ur5_cuts_the_table_and_a_standing_one_is_clear() {
-        let clearances = ur5();
+    fn distances(clearances: &Clearances, q: &[f64]) -> Vec<f64> {
         let mut distances = vec![0.0; clearances.count()];
-        let half = std::f64::consts::FRAC_PI_2;
-        clearances.write(
-            &PerJoint::from([0.0, half, 0.0, 0.0, 0.0, 0.0]),
-            &mut distances,
-        );
-        assert!(distances.iter().any(|d| *d < -0.5));
-        clearances.write(
-            &PerJoint::from([0.0, -half, 0.0, -half, 0.3, 0.0]),
-            &mut distances,
-        );
-        assert!(distances.iter().all(|d| *d > 0.005), "{distances:?}");
-        // The elbow folded: the first wrist lies on the upper arm.
-        clearances.write(
-            &PerJoint::from([0.0, -half, 3.1, 0.0, 0.3, 0.0]),
-            &mut distances,
-        );
-        let worst = (0..distances.len()).min_by(|a, b| distances[*a].total_cmp(&distances[*b]));
-        assert!(worst.is_some_and(|i| distances[i] < 0.0), "{distances:?}");
+        clearances.write(q, &mut distances);
+        distances
     }
 
     #[test]
-    fn no_pose_exceeds_the_upper_bound() {
+    fn a_hanging_ur5_cuts_the_table_and_a_standing_one_is_clear() {
+        let half = std::f64::consts::FRAC_PI_2;
+        let least = |q: [f64; 6]| {
+            let distances = distances(&ur5(), &q);
+            distances.into_iter().fold(f64::INFINITY, f64::min)
+        };
+        assert!(least([0.0, half, 0.0, 0.0, 0.0, 0.0]) < -0.5);
+        assert!(least([0.0, -half, 0.0, -half, 0.3, 0.0]) > 0.005);
+        // The elbow folded: the first wrist lies on the upper arm.
+        assert!(least([0.0, -half, 3.1, 0.0, 0.3, 0.0]) < 0.0);
+    }
+
+    #[test]
+    fn no_pose_exceeds_the_upper_bound_and_no_distance_changes_faster_than_its_rate() {
         let clearances = ur5();
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-        let mut distances = vec![0.0; clearances.count()];
         for _ in 0..2000 {
             let q = PerJoint::from_fn(6, |_| random.random_range(-3.0..3.0));
-            clearances.write(&q, &mut distances);
-            for (i, distance) in distances.iter().enumerate() {
-                let name = clearances.name(i);
-                assert!(*distance <= clearances.upper_bound(i) + 1e-12, "{name}");
+            let step = PerJoint::from_fn(6, |_| random.random_range(-0.05..0.05));
+            let moved = PerJoint::from_fn(6, |j| q[j] + step[j]);
+            let (before, after) = (distances(&clearances, &q), distances(&clearances, &moved));
+            for i in 0..clearances.count() {
+                let (name, change) = (clearances.name(i), (after[i] - before[i]).abs());
+                assert!(before[i] <= clearances.upper_bound(i) + 1e-12, "{name}");
+                assert!(change <= clearances.rate(i, &step) + 1e-12, "{name}");
             }
         }
         // The stretched arm stands nearly that high.
         let table = clearances.upper_bound(1);
         assert!(table.is_finite() && table < 1.0, "{table}");
-    }
-
-    #[test]
-    fn no_distance_changes_faster_than_its_rate() {
-        let clearances = ur5();
-        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-        let (mut before, mut after) =
-            (vec![0.0; clearances.count()], vec![0.0; clearances.count()]);
-        for _ in 0..2000 {
-            let q = PerJoint::from_fn(6, |_| random.random_range(-3.0..3.0));
-            let step = PerJoint::from_fn(6, |_| random.random_range(-0.05..0.05));
-            clearances.write(&q, &mut before);
-            let moved = PerJoint::from_fn(6, |j| q[j] + step[j]);
-            clearances.write(&moved, &mut after);
-            for i in 0..clearances.count() {
-                let change = (after[i] - before[i]).abs();
-                assert!(
-                    change <= clearances.rate(i, &step) + 1e-12,
-                    "{}",
-                    clearances.name(i)
-                );
-            }
-        }
     }
 }

@@ -113,18 +113,13 @@ impl Experiment {
         }
         let information = &weighted * transposed.transpose();
         // The rows' units differ by orders of magnitude: factorise with a diagonal of ones.
-        let size = information
-            .diagonal()
-            .map(|d| d.max(f64::MIN_POSITIVE).sqrt().recip());
+        let size = information.diagonal();
+        let size = size.map(|d| d.max(f64::MIN_POSITIVE).sqrt().recip());
         let factor = Cholesky::new(scaled(&information, &size))?;
-        let mut covariance = factor.inverse();
-        let log_det: f64 = factor
-            .l_dirty()
-            .diagonal()
-            .iter()
-            .map(|d| 2.0 * d.ln())
-            .sum::<f64>()
+        let diagonal = factor.l_dirty().diagonal();
+        let log_det = diagonal.iter().map(|d| 2.0 * d.ln()).sum::<f64>()
             - 2.0 * size.iter().map(|s| s.ln()).sum::<f64>();
+        let mut covariance = factor.inverse();
         for i in 0..size.len() {
             for j in 0..size.len() {
                 covariance[(i, j)] *= size[i] * size[j];
@@ -220,10 +215,8 @@ fn task(robot: &Robot, seed: u64) -> Vec<Motion> {
 
 /// Condition number of the raw base regressor of the links, in the frames of `rows`.
 pub(super) fn condition_number(rows: &Rows, states: &[Motion]) -> f64 {
-    condition(
-        &rows.transposed(states, SIGN_WIDTH_RAD_S),
-        rows.link_columns.len(),
-    )
+    let transposed = rows.transposed(states, SIGN_WIDTH_RAD_S);
+    condition(&transposed, rows.link_columns.len())
 }
 
 fn condition(transposed: &DMatrix<f64>, columns: usize) -> f64 {

@@ -169,13 +169,11 @@ impl Objective {
             }
             for (j, own) in gradient.chunks_exact_mut(VARIABLES).enumerate() {
                 for (v, sum) in own.iter_mut().enumerate() {
-                    *sum = (0..INSTANTS)
-                        .map(|k| {
-                            (0..3)
-                                .map(|d| slopes[k][j][d] * self.basis[k][v][d])
-                                .sum::<f64>()
-                        })
-                        .sum();
+                    let instants = slopes.iter().zip(&self.basis).map(|(slopes, basis)| {
+                        let both = slopes[j].iter().zip(&basis[v]);
+                        both.map(|(slope, basis)| slope * basis).sum::<f64>()
+                    });
+                    *sum = instants.sum();
                 }
             }
         }
@@ -185,26 +183,17 @@ impl Objective {
     /// The criterion with the penalty on the condition number, and its derivatives.
     fn shares(&self, worth: &Worth, weight: f64) -> (f64, Worth) {
         let mut share = Worth::default();
-        let value = match self.criterion {
-            Criterion::Condition => {
-                share.ln_condition = 1.0;
-                worth.ln_condition
-            }
-            Criterion::DOptimal => {
-                share.ln_spread = 1.0;
-                worth.ln_spread
-            }
-            Criterion::VOptimal => {
-                share.ln_error = 1.0;
-                worth.ln_error
-            }
+        let (value, of_value) = match self.criterion {
+            Criterion::Condition => (worth.ln_condition, &mut share.ln_condition),
+            Criterion::DOptimal => (worth.ln_spread, &mut share.ln_spread),
+            Criterion::VOptimal => (worth.ln_error, &mut share.ln_error),
             Criterion::Constrained => {
-                share.ln_error = 1.0;
                 let over = (worth.ln_condition - self.ln_condition_limit).max(0.0);
                 share.ln_condition = 2.0 * weight * over;
-                worth.ln_error + weight * over * over
+                (worth.ln_error + weight * over * over, &mut share.ln_error)
             }
         };
+        *of_value = 1.0;
         (value, share)
     }
 

@@ -340,11 +340,8 @@ mod tests {
                     };
                     for (d, slope) in slopes.iter().enumerate() {
                         let expected = (moved(d, 1e-5) - moved(d, -1e-5)) / 2e-5;
-                        let close = 1e-6 * (1.0 + expected.abs());
-                        assert!(
-                            (slope - expected).abs() < close,
-                            "{frames:?} joint {j}, derivative {d}: {slope} {expected}"
-                        );
+                        let close = (slope - expected).abs() < 1e-6 * (1.0 + expected.abs());
+                        assert!(close, "{frames:?} joint {j}, {d}: {slope} {expected}");
                     }
                 }
             }

@@ -68,21 +68,13 @@ pub fn optimise(
         done += 1;
         progress(done, all);
     };
-    let mut coarse = in_parallel(
-        threads,
-        &starts,
-        |start| search.coarse_search(start),
-        &mut count,
-    );
+    let coarse_search = |start: &Vec<f64>| search.coarse_search(start);
+    let mut coarse = in_parallel(threads, &starts, coarse_search, &mut count);
     // Stable: equal values keep the order of their starts.
     coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
     coarse.truncate(finalists);
-    let mut results = in_parallel(
-        threads,
-        &coarse,
-        |(_, variables)| search.finish(variables),
-        &mut count,
-    );
+    let finish = |(_, variables): &(f64, Vec<f64>)| search.finish(variables);
+    let mut results = in_parallel(threads, &coarse, finish, &mut count);
     if let Some(excitation) = given {
         let kept = Excitation {
             seed: config.seed,
@@ -223,10 +215,8 @@ impl<'a> Search<'a> {
             let Some(certificate) = excitation.certificate.as_ref().filter(|c| !c.holds) else {
                 break;
             };
-            let penalties = self.penalties(
-                FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32),
-                0.001 * repair as f64,
-            );
+            let weight = FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32);
+            let penalties = self.penalties(weight, 0.001 * repair as f64);
             let objective = objective.get_or_insert_with(|| self.objective.clone());
             tighten(&mut objective.torque, certificate);
             variables = descend(objective, &penalties, variables, self.config.iterations);
@@ -350,10 +340,8 @@ impl Search<'_> {
             )
         });
         let weak = weak.collect::<Vec<_>>().join("; ");
-        match weak.is_empty() {
-            true => Ok(()),
-            false => Err(refused(format!("{weak}: correct it with --torque-limits"))),
-        }
+        let refused = || refused(format!("{weak}: correct it with --torque-limits"));
+        weak.is_empty().then_some(()).ok_or_else(refused)
     }
 
     /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
@@ -414,23 +402,19 @@ mod tests {
             let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
             let penalties = search.penalties(10.0, 0.0);
             let mut gradient = vec![0.0; start.len()];
-            search
-                .objective
-                .value(&start, &penalties, Some(&mut gradient));
+            let objective = &search.objective;
+            objective.value(&start, &penalties, Some(&mut gradient));
             let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
-            for v in 0..start.len() {
+            for (v, found) in gradient.iter().enumerate() {
                 let h = 1e-5;
                 let at = |step: f64| {
                     let mut moved = start.clone();
                     moved[v] += step;
-                    search.objective.value(&moved, &penalties, None)
+                    objective.value(&moved, &penalties, None)
                 };
                 let expected = (at(h) - at(-h)) / (2.0 * h);
-                assert!(
-                    (gradient[v] - expected).abs() < 1e-4 * size,
-                    "{criterion:?}, variable {v}: {} {expected}",
-                    gradient[v]
-                );
+                let close = (found - expected).abs() < 1e-4 * size;
+                assert!(close, "{criterion:?}, variable {v}: {found} {expected}");
             }
         }
     }
@@ -450,23 +434,21 @@ mod tests {
         robot.joints[2].friction.viscous = 4.0 * limits.torque / limits.velocity;
         let (found, shares) = adapted(&robot);
         assert_eq!(found, Ok(()));
-        assert!(
-            shares[2] < 1.0 && shares[2] > 0.1 && shares[5] == 1.0,
-            "{shares:?}"
-        );
+        let slower = shares[2] < 1.0 && shares[2] > 0.1 && shares[5] == 1.0;
+        assert!(slower, "{shares:?}");
         // Gravity at the shoulder and at the elbow.
         robot.joints[1].limits.torque = 1.0;
         robot.joints[2].limits.torque = 0.5;
         let message = adapted(&robot).0.expect_err("too weak").to_string();
-        assert!(
-            message.contains("its limit is 1 N·m and leaves 0.")
-                && message.contains("its limit is 0.5 N·m and leaves 0.")
-                && message.ends_with(" N·m for the motion: correct it with --torque-limits"),
-            "{message}"
-        );
-        for joint in &robot.joints[1..3] {
-            assert!(message.contains(&joint.name), "{message}");
+        for (joint, limit) in robot.joints[1..3].iter().zip(["1", "0.5"]) {
+            let limit = format!("its limit is {limit} N·m and leaves 0.");
+            assert!(
+                message.contains(&limit) && message.contains(&joint.name),
+                "{message}"
+            );
         }
+        let end = " N·m for the motion: correct it with --torque-limits";
+        assert!(message.ends_with(end), "{message}");
     }
 
     #[test]

@@ -44,7 +44,7 @@ impl Extremes {
         range_rad: f64,
         share: f64,
     ) -> Result<Vec<Self>, Refusal> {
-        let of_joint = |(index, joint): (usize, &crate::robot::Joint)| {
+        let of_joint = |(number, joint): (usize, &crate::robot::Joint)| {
             let limits = &joint.limits;
             let (low, high) = limits.position;
             let centre = 0.0_f64.max(low).min(high);
@@ -52,10 +52,8 @@ impl Extremes {
             let (middle, half) = (0.5 * (low + high), 0.5 * (high - low) * share);
             // Not a number must be refused, too.
             if half.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {
-                let joint = index + 1;
-                return Err(refused(format!(
-                    "limits of joint {joint} leave no room to move"
-                )));
+                let problem = format!("limits of joint {number} leave no room to move");
+                return Err(refused(problem));
             }
             Ok(Self {
                 q: (middle - half, middle + half),
@@ -63,7 +61,7 @@ impl Extremes {
                 qdd: limits.acceleration * share,
             })
         };
-        robot.joints.iter().enumerate().map(of_joint).collect()
+        (1..).zip(&robot.joints).map(of_joint).collect()
     }
 }
 
@@ -120,8 +118,6 @@ impl JointSeries {
     }
 
     /// A random series that rests at both ends and uses `share` of its tightest limit.
-    ///
-    /// Rest at t = 0, and so at the period's end: Σ a_l = 0 and Σ l b_l = 0.
     pub(super) fn random(
         limits: &Extremes,
         omega: f64,
@@ -161,10 +157,8 @@ impl JointSeries {
         let extremes = self.extremes(omega, points);
         let scale = limits.scale(&extremes).min(1.0);
         let swing = |end: f64| (end - self.q0_rad) * scale;
-        let (low, high) = (
-            limits.q.0 - swing(extremes.q.0),
-            limits.q.1 - swing(extremes.q.1),
-        );
+        let low = limits.q.0 - swing(extremes.q.0);
+        let high = limits.q.1 - swing(extremes.q.1);
         Self {
             q0_rad: self.q0_rad.max(low).min(high),
             ..self.scaled(scale)

@@ -61,10 +61,8 @@ impl PlantEffects {
         let file = path.display().to_string();
         let effects = toml::from_str::<Self>(&text);
         let effects = effects.map_err(|error| Refusal::toml(&file, &text, &error))?;
-        match effects.problem() {
-            Some(problem) => Err(Refusal::of(file, problem)),
-            None => Ok(effects),
-        }
+        let problem = effects.problem();
+        problem.map_or(Ok(effects), |problem| Err(Refusal::of(file, problem)))
     }
 
     /// First value without a meaning.
@@ -75,35 +73,30 @@ impl PlantEffects {
         let sound = |value: &serde_json::Value| {
             value.is_boolean() || value.as_f64().is_some_and(|value| value >= 0.0)
         };
-        let elastic = self.twist_mrad > 0.0;
-        let checks = [
+        let positive = values.is_some_and(|values| values.values().all(sound));
+        let (spread, fall) = (self.drive_gain_spread, self.warm_viscous_fall);
+        let rigid = self.twist_mrad == 0.0;
+        let elastic_only = self.backlash_mrad > 0.0 || self.torque_loop_gain > 0.0;
+        let no_loop = self.torque_loop_gain == 0.0;
+        let problems = [
+            (!positive, "every value must be a number and not negative"),
+            (spread >= 1.0, "drive_gain_spread must be below 1"),
+            (fall >= 1.0, "warm_viscous_fall must be below 1"),
             (
-                values.is_some_and(|values| values.values().all(sound)),
-                "every value must be a number and not negative",
-            ),
-            (
-                (0.0..1.0).contains(&self.drive_gain_spread),
-                "drive_gain_spread must be below 1",
-            ),
-            (
-                (0.0..1.0).contains(&self.warm_viscous_fall),
-                "warm_viscous_fall must be below 1",
-            ),
-            (
-                elastic || (self.backlash_mrad == 0.0 && self.torque_loop_gain == 0.0),
+                rigid && elastic_only,
                 "backlash_mrad and torque_loop_gain need twist_mrad above 0",
             ),
             (
-                self.torque_loop_gain > 0.0 || !self.reports_commanded_torque,
+                no_loop && self.reports_commanded_torque,
                 "reports_commanded_torque needs torque_loop_gain above 0",
             ),
             (
-                self.warm_viscous_fall == 0.0 || self.warm_up_s > 0.0,
+                fall > 0.0 && self.warm_up_s == 0.0,
                 "warm_viscous_fall needs warm_up_s above 0",
             ),
         ];
-        let bad = checks.into_iter().find(|(met, _)| !met);
-        bad.map(|(_, problem)| problem)
+        let found = problems.into_iter().find(|(is_there, _)| *is_there);
+        found.map(|(_, problem)| problem)
     }
 }
 
@@ -183,9 +176,8 @@ impl<const N: usize> ReportQueue<N> {
         self.newest_s = self.newest_s.max(t_s - 1e-3 * delay);
         let before = |s: f64| {
             let found = self.sent.iter().find(|(sent_s, _)| *sent_s <= s + 1e-9);
-            found
-                .or(self.sent.back())
-                .map_or(fresh, |(_, report)| *report)
+            let found = found.or(self.sent.back());
+            found.map_or(fresh, |(_, report)| *report)
         };
         Measurement {
             q: before(self.newest_s).q,
@@ -339,10 +331,6 @@ mod tests {
         }
         assert!((share(outliers, 6 * REPORTS) - 0.01).abs() < 2e-3);
         assert!((share(glitches, 6 * REPORTS) - 0.02).abs() < 3e-3);
-    }
-
-    #[test]
-    fn late_lost_and_broken_reports_have_their_shares() {
         let seen = reports(ReportFaults {
             lost: 0.05,
             late: 0.05,

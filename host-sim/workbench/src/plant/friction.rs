@@ -235,11 +235,8 @@ impl<const N: usize> Gear<N> {
         for j in 0..N {
             let (twist, rate) = (rotors.0[j] - self.q[j], rotors.1[j] - self.qd[j]);
             let play = twist + h * rate;
-            let contact = if play.abs() <= self.half_backlash && self.half_backlash > 0.0 {
-                0.0
-            } else {
-                1.0
-            };
+            let loose = play.abs() <= self.half_backlash && self.half_backlash > 0.0;
+            let contact = f64::from(!loose);
             let (k, d) = (contact * self.stiffness[j], contact * self.damping[j]);
             s0[j] = k * (twist - self.half_backlash.copysign(play)) + (h * k + d) * rate;
             g[j] = h * (h * k + d);
@@ -248,11 +245,8 @@ impl<const N: usize> Gear<N> {
             mass[(j, j)] -= self.rotor[j];
         }
         let coupled = g - g.component_mul(&g).component_div(&a);
-        let link = solved(
-            mass,
-            &coupled,
-            &(s0 + load + g.component_mul(&r).component_div(&a)),
-        );
+        let force = s0 + load + g.component_mul(&r).component_div(&a);
+        let link = solved(mass, &coupled, &force);
         let rotor = (r + g.component_mul(&link)).component_div(&a);
         self.torque = s0 + g.component_mul(&(rotor - link));
         self.qd += link * h;

@@ -19,6 +19,11 @@ fn truth() -> Robot {
     ur5.perturbed(1, &Perturbation::PLANT)
 }
 
+fn without_friction(joint: &mut crate::robot::Joint) {
+    let friction = &mut joint.friction;
+    (friction.viscous, friction.coulomb, friction.cogging) = (0.0, 0.0, 0.0);
+}
+
 /// Plays the torques of the validation path, open loop, for one second.
 fn played(step_rate_hz: f64) -> Plant<6> {
     let robot = truth();
@@ -55,11 +60,7 @@ fn a_step_at_8_khz_is_within_a_milliradian_of_a_finer_one() {
 #[test]
 fn energy_is_kept_without_friction_and_torque() {
     let mut robot = truth();
-    for joint in &mut robot.joints {
-        joint.friction.viscous = 0.0;
-        joint.friction.coulomb = 0.0;
-        joint.friction.cogging = 0.0;
-    }
+    robot.joints.iter_mut().for_each(without_friction);
     let mut plant = Plant::<6>::new(&robot, quiet(64_000.0), 1).expect("six joints");
     plant.place(&Joints::repeat(0.4));
     let energy = |plant: &Plant<6>| plant.model.energy(&plant.q, &plant.qd);
@@ -82,20 +83,18 @@ fn friction_and_work_balance_the_energy() {
     let mut plant = Plant::<6>::new(&robot, quiet(64_000.0), 1).expect("six joints");
     plant.place(&Joints::repeat(-0.6));
     let start = plant.model.energy(&plant.q, &plant.qd);
-    let resisted = |plant: &Plant<6>, qd: &Joints<6>| {
-        let (state, zero) = (&plant.friction_state, Joints::zeros());
-        let friction = plant
-            .friction
-            .torque_and_slope(&plant.q, qd, &zero, state, 0.0);
-        friction.0
+    let resisted = |plant: &Plant<6>| {
+        let (friction, state, zero) = (&plant.friction, &plant.friction_state, Joints::zeros());
+        friction
+            .torque_and_slope(&plant.q, &plant.qd, &zero, state, 0.0)
+            .0
     };
     let mut work = 0.0;
     for k in 0..1000 {
         let tau = Joints::from_fn(|j, _| 20.0 * (f64::from(k) * 6e-3 + j as f64).sin());
-        let before = plant.qd;
-        let friction = resisted(&plant, &before);
+        let (before, friction) = (plant.qd, resisted(&plant));
         plant.advance(&tau, 1e-3);
-        let after = resisted(&plant, &plant.qd);
+        let after = resisted(&plant);
         let mean = (before + plant.qd) * 0.5;
         work += 1e-3 * mean.dot(&(tau - (friction + after) * 0.5));
     }
@@ -127,12 +126,16 @@ fn sensors_round_to_counts_and_carry_one_percent_of_noise() {
     }
 }
 
-fn effects(effects: PlantEffects) -> Plant<6> {
+fn with_effects<const N: usize>(robot: &Robot, rate_hz: f64, effects: PlantEffects) -> Plant<N> {
     let config = PlantConfig {
         effects,
-        ..quiet(8000.0)
+        ..quiet(rate_hz)
     };
-    Plant::new(&truth(), config, 1).expect("six joints")
+    Plant::new(robot, config, 1).expect("its size")
+}
+
+fn effects(effects: PlantEffects) -> Plant<6> {
+    with_effects(&truth(), 8000.0, effects)
 }
 
 #[test]
@@ -169,19 +172,13 @@ fn stiff_gears_move_the_arm_as_rigid_ones_do_and_soft_ones_twist_by_the_load() {
 fn a_link_swings_on_its_gear_at_the_frequency_of_both_masses() {
     let mut robot = truth();
     robot.joints.truncate(1);
-    let joint = &mut robot.joints[0];
-    (joint.friction.viscous, joint.friction.coulomb) = (0.0, 0.0);
-    joint.friction.cogging = 0.0;
-    joint.link.inertia_com *= 100.0;
+    without_friction(&mut robot.joints[0]);
+    robot.joints[0].link.inertia_com *= 100.0;
     let effects = PlantEffects {
         twist_mrad: 8.0,
         ..PlantEffects::default()
     };
-    let config = PlantConfig {
-        effects,
-        ..quiet(32_000.0)
-    };
-    let mut plant = Plant::<1>::new(&robot, config, 1).expect("one joint");
+    let mut plant = with_effects::<1>(&robot, 32_000.0, effects);
     plant.qd[0] = 0.1;
     let (mut turns, mut before) = (Vec::new(), 0.0);
     for k in 0..1000 {
@@ -377,10 +374,8 @@ fn a_push_moves_the_arm_but_not_the_torque_of_a_motion() {
         pushes: vec![push],
     };
     assert_eq!(events.push_at(0.04), Joints::<6>::zeros());
-    assert!(
-        (events.push_at(0.055)[0] - 20.0).abs() < 1e-9,
-        "half way up"
-    );
+    let half_way_up = events.push_at(0.055)[0];
+    assert!((half_way_up - 20.0).abs() < 1e-9, "{half_way_up}");
     assert_eq!(events.push_at(0.1), torque);
     let (mut pushed, mut left) = (with(events), with(Events::default()));
     let hold = left.true_torque(&State::rest(Joints::zeros()));
@@ -389,10 +384,7 @@ fn a_push_moves_the_arm_but_not_the_torque_of_a_motion() {
         left.advance(&hold, 1e-3);
     }
     assert!((pushed.q() - left.q())[0] > 0.01);
-    let motion = State {
-        q: Joints::repeat(0.3),
-        qd: Joints::repeat(1.0),
-        qdd: Joints::repeat(2.0),
-    };
+    let [q, qd, qdd] = [0.3, 1.0, 2.0].map(Joints::repeat);
+    let motion = State { q, qd, qdd };
     assert_eq!(pushed.true_torque(&motion), left.true_torque(&motion));
 }

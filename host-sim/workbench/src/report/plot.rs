@@ -173,10 +173,8 @@ fn single(panel: &Panel, size: (u32, u32)) -> Result<(String, [i32; 4]), PlotErr
     }
     // The page scales the drawing to its own width.
     let shown = format!("<svg width=\"{}\" height=\"{}\"", size.0, size.1);
-    let label = escape(&format!(
-        "{}: {} over {}",
-        panel.title, panel.y_label, panel.x_label
-    ));
+    let (title, x, y) = (&panel.title, &panel.x_label, &panel.y_label);
+    let label = escape(&format!("{title}: {y} over {x}"));
     let scaled = format!("<svg role=\"img\" aria-label=\"{label}\"");
     Ok((svg.replacen(&shown, &scaled, 1), area))
 }
@@ -253,12 +251,8 @@ fn data(panel: &Panel) -> String {
 /// As many decimals as the span of the axis asks for.
 fn short(value: f64, span: f64) -> String {
     let decimals = (1.0 - span.log10()).ceil().clamp(0.0, 4.0) as usize;
-    let value = if value.abs() < span * 1e-9 {
-        0.0
-    } else {
-        value
-    };
-    format!("{value:.decimals$}")
+    let zero = value.abs() < span * 1e-9;
+    format!("{:.decimals$}", if zero { 0.0 } else { value })
 }
 
 fn ranges(panel: &Panel) -> ((f64, f64), (f64, f64)) {
@@ -273,11 +267,10 @@ fn ranges(panel: &Panel) -> ((f64, f64), (f64, f64)) {
         y.0 = 0.0;
     }
     let widen = |(low, high): (f64, f64), share: f64| {
-        if low > high {
-            (0.0, 1.0)
-        } else {
-            let margin = ((high - low) * share).max(1e-9);
-            (low - margin, high + margin)
+        let margin = ((high - low) * share).max(1e-9);
+        match low > high {
+            true => (0.0, 1.0),
+            false => (low - margin, high + margin),
         }
     };
     let (x, mut y) = (widen(x, 0.0), widen(y, 0.06));
@@ -295,17 +288,13 @@ fn thinned(points: &[(f64, f64)], buckets: usize) -> Vec<(f64, f64)> {
     let mut kept = Vec::with_capacity(2 * buckets);
     for bucket in points.chunks(points.len().div_ceil(buckets)) {
         let by_height = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
-        if let (Some(low), Some(high)) = (
+        let (low, high) = (
             bucket.iter().min_by(by_height),
             bucket.iter().max_by(by_height),
-        ) {
-            let (first, second) = if low.0 <= high.0 {
-                (low, high)
-            } else {
-                (high, low)
-            };
-            kept.extend([*first, *second]);
-        }
+        );
+        let mut ends: Vec<_> = low.into_iter().chain(high).copied().collect();
+        ends.sort_by(|a, b| a.0.total_cmp(&b.0));
+        kept.extend(ends);
     }
     kept
 }

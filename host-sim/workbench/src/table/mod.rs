@@ -16,25 +16,7 @@ use crate::files::at;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-/// One row of a table of states.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StateRow<const N: usize> {
-    /// Time, s, where the table has it.
-    pub t_s: Option<f64>,
-    /// The motion of all joints.
-    pub motion: State<N>,
-}
-
-/// Whether a table must have the times of its rows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TimeColumn {
-    /// `t_s` is checked where present.
-    Optional,
-    /// `t_s` must be there.
-    Required,
-}
-
-/// Reads a table of the states of `N` joints row by row, in constant memory.
+/// Reads a table of the states of `N` joints row by row, in constant memory: time, s, where the table has it, and motion.
 pub struct StateReader<const N: usize> {
     rows: Rows,
     time: Option<usize>,
@@ -43,10 +25,10 @@ pub struct StateReader<const N: usize> {
 }
 
 impl<const N: usize> StateReader<N> {
-    /// Opens a table that holds position, velocity and acceleration of all joints.
+    /// Opens a table that holds position, velocity and acceleration of all joints; `t_s` is checked where present.
     ///
     /// Errors: [`TableError`] of the header.
-    pub fn open(path: &Path, time: TimeColumn) -> Result<Self, TableError> {
+    pub fn open(path: &Path) -> Result<Self, TableError> {
         let rows = Rows::open(path)?;
         let columns = state_columns(N);
         let places = columns.iter().map(|column| rows.require(column));
@@ -55,10 +37,7 @@ impl<const N: usize> StateReader<N> {
         for (name, unit) in STATE {
             rows.refuse(&format!("{name}{}_{unit}", N + 1), N)?;
         }
-        let time = match time {
-            TimeColumn::Required => Some(rows.require("t_s")?),
-            TimeColumn::Optional => rows.find("t_s")?,
-        };
+        let time = rows.find("t_s")?;
         Ok(Self { rows, time, places })
     }
 
@@ -67,18 +46,7 @@ impl<const N: usize> StateReader<N> {
         self.time.is_some()
     }
 
-    /// All rows at once.
-    ///
-    /// Errors: [`TableError`] of the first bad row, or of a table without rows.
-    pub fn read_all(mut self) -> Result<Vec<StateRow<N>>, TableError> {
-        let rows = self.by_ref().collect::<Result<Vec<_>, _>>()?;
-        if rows.is_empty() {
-            return Err(TableError::empty(&self.rows.path));
-        }
-        Ok(rows)
-    }
-
-    fn row(&mut self) -> Result<Option<StateRow<N>>, TableError> {
+    fn row(&mut self) -> Result<Option<(Option<f64>, State<N>)>, TableError> {
         if !self.rows.advance()? {
             return Ok(None);
         }
@@ -88,15 +56,28 @@ impl<const N: usize> StateReader<N> {
         for (value, column) in values.chain(&mut motion.qdd).zip(&self.places) {
             *value = self.rows.number(*column)?;
         }
-        Ok(Some(StateRow { t_s, motion }))
+        Ok(Some((t_s, motion)))
     }
 }
 
 impl<const N: usize> Iterator for StateReader<N> {
-    type Item = Result<StateRow<N>, TableError>;
+    type Item = Result<(Option<f64>, State<N>), TableError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         self.row().transpose()
+    }
+}
+
+/// Times, s, and motions of a table that has the times of its rows.
+///
+/// Errors: [`TableError`] of the header, of the first bad row, or of a table without rows.
+pub fn read_states<const N: usize>(path: &Path) -> Result<Vec<(f64, State<N>)>, TableError> {
+    let reader = StateReader::open(path)?;
+    reader.rows.require("t_s")?;
+    let timed = reader.map(|row| row.map(|(t_s, motion)| (t_s.unwrap_or_default(), motion)));
+    match timed.collect::<Result<Vec<_>, _>>()? {
+        rows if rows.is_empty() => Err(TableError::empty(path)),
+        rows => Ok(rows),
     }
 }
 
@@ -280,15 +261,12 @@ SOUND | : no rows
             let sound = "t_s,q1_rad,qd1_rad_s,qdd1_rad_s2";
             let text = table.replace("SOUND", sound).replace(' ', "\n");
             fs::write(&path, text + "\n").expect("writes");
-            let error = StateReader::<1>::open(&path, TimeColumn::Required)
-                .and_then(StateReader::read_all)
-                .expect_err(case);
+            let error = read_states::<1>(&path).expect_err(case);
             assert_eq!(error.to_string(), format!("{}{expected}", path.display()));
         }
         let path = directory.path().join("book.dat");
         fs::write(&path, b"PK\x03\x04\xff\xfe").expect("writes");
-        let error = StateReader::<1>::open(&path, TimeColumn::Required).err();
-        let error = error.expect("no text").to_string();
+        let error = read_states::<1>(&path).expect_err("no text").to_string();
         assert!(error.contains("no text in UTF-8: write CSV"), "{error}");
     }
 
@@ -307,12 +285,10 @@ SOUND | : no rows
                 writer.row(row).expect("writes");
             }
             writer.finish().expect("finishes");
-            let rows = StateReader::<1>::open(&path, TimeColumn::Required)
-                .and_then(StateReader::read_all)
-                .expect("reads");
-            assert_eq!(rows[0].motion.qd[0], -1.0 / 3.0);
-            assert_eq!(rows[0].motion.qdd[0], 1e-17);
-            assert_eq!(rows[1].t_s, Some(0.1 + 0.2));
+            let rows = read_states::<1>(&path).expect("reads");
+            assert_eq!(rows[0].1.qd[0], -1.0 / 3.0);
+            assert_eq!(rows[0].1.qdd[0], 1e-17);
+            assert_eq!(rows[1].0, 0.1 + 0.2);
         }
     }
 
@@ -328,13 +304,9 @@ SOUND | : no rows
     }
 
     fn rows(path: &Path, named: Option<&str>) -> Result<(Vec<String>, Vec<Vec<f64>>), TableError> {
-        let likeness =
-            |names: &[String]| usize::from(names.iter().any(|own| own == "shoulder_pan_joint"));
-        let topics = Topics {
-            named,
-            likeness: &likeness,
-        };
-        let (header, rows, _) = bag::open(path, &topics)?.expect("a bag");
+        let is_there = |names: &[String]| names.iter().any(|own| own == "shoulder_pan_joint");
+        let likeness = &|names: &[String]| usize::from(is_there(names));
+        let (header, rows, _) = bag::open(path, &Topics { named, likeness })?.expect("a bag");
         Ok((header, rows.collect::<Result<_, _>>()?))
     }
 
@@ -351,17 +323,14 @@ SOUND | : no rows
         assert!(whole.1.len() > 3000);
         let is_whole = || rows(directory.path(), None).expect("reads") == whole;
         assert!(is_whole(), "by the numbers");
-        fs::rename(
-            directory.path().join(names[0]),
-            directory.path().join("b.db3"),
-        )
-        .expect("renames");
+        let renamed = directory.path().join("b.db3");
+        fs::rename(directory.path().join(names[0]), &renamed).expect("renames");
         let error = rows(directory.path(), None).expect_err("two bags");
         assert!(error.to_string().contains("several bags"), "{error}");
         let metadata = "rosbag2_bagfile_information:\n  relative_file_paths:\n    - b.db3\n    - ur10_10.db3\n  files:\n";
         fs::write(directory.path().join("metadata.yaml"), metadata).expect("writes");
         assert!(is_whole(), "by the metadata");
-        fs::remove_file(directory.path().join("b.db3")).expect("removes");
+        fs::remove_file(renamed).expect("removes");
         let error = rows(directory.path(), None).expect_err("a file is missing");
         assert!(error.to_string().contains("b.db3"), "{error}");
     }
@@ -527,10 +496,8 @@ SOUND | : no rows
         assert!(rows(&path, None).expect("reads") == whole);
         let named = rows(&path, Some("/gripper/joint_states")).expect("reads");
         assert_eq!(named.1.len(), 727);
-        let error = rows(&path, Some("/nowhere"))
-            .expect_err("no such topic")
-            .to_string();
-        assert!(error.contains("no /nowhere of "), "{error}");
+        let error = rows(&path, Some("/nowhere")).expect_err("no such topic");
+        assert!(error.to_string().contains("no /nowhere of "), "{error}");
         copy(
             &path,
             "INSERT INTO topics SELECT 77, '/a', type, serialization_format, offered_qos_profiles, '' FROM topics; \

@@ -128,9 +128,8 @@ impl BlackBox {
         let rows: Vec<_> = even_sample(rows, ROWS).collect();
         let inputs: Vec<Vec<f64>> = rows.iter().map(|(state, ..)| raw_inputs(state)).collect();
         let joints = rows.first().map_or(1, |(motion, ..)| motion.q.len());
-        let (centre, spread) = (0..3 * joints)
-            .map(|i| moments(inputs.iter().map(|x| x[i])))
-            .unzip();
+        let of_inputs = (0..3 * joints).map(|i| moments(inputs.iter().map(|x| x[i])));
+        let (centre, spread) = of_inputs.unzip();
         let torques = PerJoint::from_fn(joints, |joint| {
             moments(rows.iter().map(|(_, tau, _)| tau[joint]))
         });
@@ -196,10 +195,11 @@ impl BlackBox {
 
     fn scaled(&self, x: &[f64]) -> Vec<f64> {
         let scales = self.centre.iter().zip(&self.spread);
-        let scaled = x.iter().zip(scales);
-        scaled
-            .map(|(x, (centre, spread))| (x - centre) / spread)
-            .collect()
+        let scaled = x
+            .iter()
+            .zip(scales)
+            .map(|(x, (centre, spread))| (x - centre) / spread);
+        scaled.collect()
     }
 }
 
@@ -228,20 +228,19 @@ mod tests {
             *weight += random.random_range(-0.3..0.3);
         }
         let (x, e) = ([0.3, -0.7, 0.9], [1.3, -0.4]);
-        let value = |net: &TrainingNetwork| {
+        // Hidden outputs, and the outputs on their errors.
+        let forward = |net: &TrainingNetwork| {
             let (mut a, mut y) = ([0.0; 6], [0.0; 2]);
             net.forward(&x, &mut a, &mut y);
-            y[0] * e[0] + y[1] * e[1]
+            (a, y[0] * e[0] + y[1] * e[1])
         };
-        let (mut a, mut y) = ([0.0; 6], [0.0; 2]);
-        net.forward(&x, &mut a, &mut y);
         let mut gradient = vec![0.0; net.weights.len()];
-        net.backward(&x, &a, &e, &mut gradient);
+        net.backward(&x, &forward(&net).0, &e, &mut gradient);
         for (k, found) in gradient.iter().enumerate() {
             let at = |step: f64| {
                 let mut moved = net.clone();
                 moved.weights[k] += step;
-                value(&moved)
+                forward(&moved).1
             };
             let slope = (at(1e-6) - at(-1e-6)) / 2e-6;
             assert!((slope - found).abs() < 1e-7, "{k}");

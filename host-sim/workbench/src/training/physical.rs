@@ -94,14 +94,10 @@ impl Trained {
 impl LinearLayer {
     /// The layer of `count` rows with XᵀX = `gram`, Xᵀτ = `moment` and τᵀτ = `power`.
     pub fn new(gram: &DMatrix<f64>, moment: &DVector<f64>, power: f64, count: f64) -> Self {
-        let scale = |square| {
-            if square > 0.0 {
-                f64::sqrt(count / square)
-            } else {
-                0.0
-            }
-        };
-        let scale = gram.diagonal().map(scale);
+        let scale = gram.diagonal().map(|square| match square > 0.0 {
+            true => (count / square).sqrt(),
+            false => 0.0,
+        });
         let gram = scaled(gram, &scale) / count;
         let largest = gram.clone().symmetric_eigenvalues().max();
         Self {
@@ -181,9 +177,8 @@ impl LinearLayer {
             if epoch % 50 == 0 {
                 watch(epoch, now);
             }
-            let past = epoch
-                .checked_sub(config.descent.epochs_without_gain())
-                .map(|past| losses[past]);
+            let past = epoch.checked_sub(config.descent.epochs_without_gain());
+            let past = past.map(|past| losses[past]);
             if past.is_some_and(|past| past - now <= SETTLED * past) {
                 break;
             }
@@ -206,10 +201,8 @@ mod tests {
         let tau = &x * &truth + DVector::from_fn(400, |_, _| random.random_range(-0.1..0.1));
         let (gram, moment) = (x.tr_mul(&x), x.tr_mul(&tau));
         let exact = gram.clone().cholesky().expect("definite").solve(&moment);
-        (
-            LinearLayer::new(&gram, &moment, tau.norm_squared(), 400.0),
-            exact,
-        )
+        let layer = LinearLayer::new(&gram, &moment, tau.norm_squared(), 400.0);
+        (layer, exact)
     }
 
     fn train(layer: &LinearLayer, descent: Descent, seed: u64) -> Trained {

@@ -258,10 +258,11 @@ mod tests {
     }
 
     fn point(qd: f64, residual: f64) -> SpeedPoint {
+        let weight = 1.0;
         SpeedPoint {
             qd,
             residual,
-            weight: 1.0,
+            weight,
         }
     }
 

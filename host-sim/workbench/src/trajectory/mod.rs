@@ -8,7 +8,7 @@ use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
 use crate::files::{at, read_text};
 use crate::robot::Robot;
-use crate::table::{StateReader, StateRow, TimeColumn};
+use crate::table::read_states;
 use std::fmt::Display;
 use std::path::Path;
 use via::{ViaPath, agree, between};
@@ -44,16 +44,6 @@ impl<const N: usize> Trajectory<N> {
     fn unseen(robot: &Robot, seed: u64, length_s: f64) -> Self {
         let path = ViaPath::random(robot, seed, length_s, VALIDATION_PEAK_RAD_S);
         Self::Via(path)
-    }
-
-    /// The rows of a table; its clock starts at the first row. Rows without time are `period_s` apart.
-    pub fn sampled(rows: &[StateRow<N>], period_s: f64) -> Self {
-        let start_s = rows.first().and_then(|row| row.t_s).unwrap_or(0.0);
-        let sample = |(k, row): (usize, &StateRow<N>)| {
-            let t_s = row.t_s.map_or(k as f64 * period_s, |t_s| t_s - start_s);
-            (t_s, row.motion)
-        };
-        Self::Sampled(rows.iter().enumerate().map(sample).collect())
     }
 
     /// Duration, s.
@@ -143,21 +133,14 @@ fn within<const N: usize>(
 ) -> Result<(), Refusal> {
     for (j, joint) in robot.joints.iter().take(N).enumerate() {
         let limits = &joint.limits;
-        let (velocity, acceleration) = (limits.velocity, limits.acceleration);
-        let (low, high) = limits.position;
-        let (q, qd, qdd) = (state.q[j], state.qd[j], state.qdd[j]);
+        let ((low, high), q) = (limits.position, state.q[j]);
         let end = if q < low { low } else { high };
         let past_end = (low - q).max(q - high);
+        let speed = |asked: f64, limit: f64, unit| (asked, limit, asked.abs() - limit, limit, unit);
         for (asked, limit, broken, size, unit) in [
             (q, end, past_end, high - low, "rad"),
-            (qd, velocity, qd.abs() - velocity, velocity, "rad/s"),
-            (
-                qdd,
-                acceleration,
-                qdd.abs() - acceleration,
-                acceleration,
-                "rad/s²",
-            ),
+            speed(state.qd[j], limits.velocity, "rad/s"),
+            speed(state.qdd[j], limits.acceleration, "rad/s²"),
         ] {
             if broken > share * size {
                 let joint = j + 1;
@@ -210,10 +193,11 @@ impl<const N: usize> Trajectory<N> {
                 return samples.map(Self::Sampled).map_err(in_file(name));
             }
             _ => {
-                let rows = StateReader::<N>::open(path, TimeColumn::Required)
-                    .and_then(StateReader::read_all)
-                    .map_err(|error| Refusal(error.to_string()))?;
-                Self::sampled(&rows, period_s)
+                let mut rows = read_states(path).map_err(|error| Refusal(error.to_string()))?;
+                // The clock starts at the first row.
+                let start_s = rows.first().map_or(0.0, |row| row.0);
+                rows.iter_mut().for_each(|row| row.0 -= start_s);
+                Self::Sampled(rows)
             }
         };
         trajectory.check(robot, period_s).map_err(in_file(name))?;
@@ -356,12 +340,9 @@ mod tests {
                 assert_eq!(path.at(*t_s), *state);
             }
             for t_s in (0..3900).map(|k| 1e-3 * f64::from(k) + 4e-4) {
-                let state = path.at(t_s);
-                assert!((state.q[0] - (2.0 * t_s).sin()).abs() < 2e-5, "{t_s}");
-                assert!(
-                    (state.qd[0] - 2.0 * (2.0 * t_s).cos()).abs() < 4e-3,
-                    "{t_s}"
-                );
+                let (state, (sin, cos)) = (path.at(t_s), (2.0 * t_s).sin_cos());
+                assert!((state.q[0] - sin).abs() < 2e-5, "{t_s}");
+                assert!((state.qd[0] - 2.0 * cos).abs() < 4e-3, "{t_s}");
             }
             let end = path.at(5.0);
             assert_eq!(end, State::rest(samples[samples.len() - 1].1.q));
@@ -394,8 +375,9 @@ mod tests {
         assert!(error.contains("at most 100000 are played"), "{error}");
         // Slow enough by its rows, but not on the way.
         let mut rows = table(1.0);
-        rows.iter_mut()
-            .for_each(|row| row.1 = State::rest(Joints::zeros()));
+        for row in &mut rows {
+            row.1 = State::rest(Joints::zeros());
+        }
         rows[1].1.q[0] = 2.5;
         let error = check(&rows).expect_err("too fast").to_string();
         assert!(error.contains("is asked for 3."), "{error}");

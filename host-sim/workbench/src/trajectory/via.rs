@@ -7,7 +7,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Time between two via points of a random path, s.
-pub(crate) const SEGMENT_S: f64 = 1.5;
+const SEGMENT_S: f64 = 1.5;
 /// Range of its via points around zero, rad.
 pub(crate) const VIA_RANGE_RAD: f64 = 2.0;
 
@@ -30,11 +30,10 @@ fn held<const N: usize>(
 ) -> Option<Joints<N>> {
     let model = ReferenceModel::<N>::new(robot)?;
     let share = |q: &Joints<N>| {
-        let shares = model.gravity_torques(q).abs();
-        let joints = shares.iter().zip(&robot.joints);
-        joints.fold(0.0_f64, |most, (torque, joint)| {
-            most.max(torque / joint.limits.torque)
-        })
+        let torques = model.gravity_torques(q);
+        let joints = robot.joints.iter().zip(&torques);
+        let shares = joints.map(|(joint, torque)| torque.abs() / joint.limits.torque);
+        shares.fold(0.0, f64::max)
     };
     if share(centre) <= GRAVITY_SHARE {
         return None;
@@ -75,12 +74,9 @@ impl<const N: usize> ViaPath<N> {
         let points = if points.len() < 2 { &ends } else { points };
         let last = points.len() - 1;
         let segment_s = duration_s / last as f64;
-        let slope = |k: usize| {
-            if k == 0 || k == last {
-                Joints::zeros()
-            } else {
-                (points[k + 1] - points[k - 1]) / (2.0 * segment_s)
-            }
+        let slope = |k: usize| match k == 0 || k == last {
+            true => Joints::zeros(),
+            false => (points[k + 1] - points[k - 1]) / (2.0 * segment_s),
         };
         Self {
             segment_s,
@@ -164,11 +160,12 @@ impl<const N: usize> ViaPath<N> {
             let state = self.at(k as f64 * self.segment_s / TORQUE_POINTS as f64);
             let torque = model.inverse_dynamics(&state);
             let joints = robot.joints.iter().zip(torque.iter().zip(state.qd.iter()));
-            joints.fold(0.0_f64, |most, (joint, (torque, qd))| {
+            let shares = joints.map(|(joint, (torque, qd))| {
                 let friction = &joint.friction;
                 let resisted = friction.viscous * qd + friction.coulomb * qd.signum();
-                most.max((torque + resisted).abs() / joint.limits.torque)
-            })
+                (torque + resisted).abs() / joint.limits.torque
+            });
+            shares.fold(0.0, f64::max)
         };
         (0..=points).map(share).fold(0.0, f64::max)
     }
@@ -320,10 +317,13 @@ pub(super) fn agree<const N: usize>(
 mod tests {
     use super::*;
 
+    fn path() -> ViaPath<6> {
+        ViaPath::random(&Robot::load("ur5").expect("built in"), 3, 30.0, 2.7)
+    }
+
     #[test]
     fn quintics_join_without_a_step_up_to_the_acceleration() {
-        let robot = Robot::load("ur5").expect("built in");
-        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let path = path();
         for k in 1..20 {
             let t_s = f64::from(k) * SEGMENT_S;
             let (before, after) = (path.at(t_s - 1e-9), path.at(t_s + 1e-9));
@@ -343,8 +343,7 @@ mod tests {
 
     #[test]
     fn a_path_of_one_joint_moves_the_others_only_afterwards() {
-        let robot = Robot::load("ur5").expect("built in");
-        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let path = path();
         let alone = path.clone().of_joint_until(1, 15.0);
         for k in 0..=300 {
             let t_s = 0.1 * f64::from(k);
@@ -359,8 +358,7 @@ mod tests {
 
     #[test]
     fn a_path_is_slower_until_its_time_and_as_fast_as_before_afterwards() {
-        let robot = Robot::load("ur5").expect("built in");
-        let path = ViaPath::<6>::random(&robot, 3, 30.0, 2.7);
+        let path = path();
         let (until_s, end_s) = (15.0, path.duration_s());
         let slow = path.clone().slow_until(8.0, until_s);
         let largest = |path: &ViaPath<6>, from_s: f64, to_s: f64| {

@@ -111,20 +111,20 @@ fn tracking_mrad(profile: &Profile, forward: bool, learn_s: f64) -> f64 {
     (sum / f64::from(count)).sqrt() * 1e3
 }
 
+/// The tracking error, mrad, is so many times smaller with the feed-forward than without it.
+pub(crate) fn tracks_better(name: &str, times: f64, tracking: impl Fn(bool) -> f64) {
+    let (alone, with) = (tracking(false), tracking(true));
+    let ratio = alone / with;
+    let line = format!("{name}: {alone:.3} mrad alone, {with:.3} mrad with, ratio {ratio:.2}");
+    println!("{line}");
+    assert!(alone > times * with, "{line}");
+}
+
 #[test]
 fn feed_forward_from_the_description_tracks_three_times_better_than_the_drives_alone_after_30_s() {
     for rate_hz in [250.0, 500.0, 1000.0] {
-        let profile = profile(rate_hz);
-        let alone = tracking_mrad(&profile, false, 30.0);
-        let with = tracking_mrad(&profile, true, 30.0);
-        println!(
-            "{rate_hz} Hz: {alone:.3} mrad alone, {with:.3} mrad with, ratio {:.2}",
-            alone / with
-        );
-        assert!(
-            alone > 3.0 * with,
-            "{rate_hz} Hz: {alone} mrad alone, {with} mrad with"
-        );
+        let tracking = |forward| tracking_mrad(&profile(rate_hz), forward, 30.0);
+        tracks_better(&format!("{rate_hz} Hz"), 3.0, tracking);
     }
 }
 

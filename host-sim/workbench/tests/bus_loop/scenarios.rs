@@ -1,6 +1,8 @@
 //! Every family of drives in the loop, a payload, and friction that drifts. Torques are reported in steps of 12 bits.
 
-use super::{Player, Set, described, network, path, play, player, profile, tracking_mrad};
+use super::{
+    Player, Set, described, network, path, play, player, profile, tracking_mrad, tracks_better,
+};
 use foretorque::arm::ur5::Ur5;
 use foretorque::feedforward::evaluate;
 use foretorque::learning::rated_payload;
@@ -172,28 +174,19 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
 fn every_family_of_drives_is_driven_and_a_fault_or_another_scale_ends_the_torque() {
     let path = path(4.0);
     for (name, profile, other) in families() {
-        let alone = tracking_mrad(&profile, false, 10.0);
-        let with = tracking_mrad(&profile, true, 10.0);
-        println!("{name}: {alone:.3} mrad alone, {with:.3} mrad with");
-        assert!(
-            alone > 1.5 * with,
-            "{name}: {alone} mrad alone, {with} mrad with"
-        );
+        let tracking = |forward| tracking_mrad(&profile, forward, 10.0);
+        tracks_better(name, 1.5, tracking);
         // The first torque of a drive that is switched on holds the arm where it stands.
         let mut arming = player(&profile, &path, true);
         let before = *arming.network.plant.q();
         arming.arm().expect("it arms");
         let moved = (arming.network.plant.q() - before).amax();
         assert!(moved < 0.01, "{name}: {moved} rad");
+        let dead = "torque off: joint 5: the drive does not answer";
+        let reports = "torque off: joint 2: the drive reports fault 0x8";
         for (fault, message) in [
-            (
-                LineFault::Dead(4),
-                "torque off: joint 5: the drive does not answer",
-            ),
-            (
-                LineFault::DriveFault(1, 0x8),
-                "torque off: joint 2: the drive reports fault 0x8",
-            ),
+            (LineFault::Dead(4), dead),
+            (LineFault::DriveFault(1, 0x8), reports),
         ] {
             let mut faulty = player(&profile, &path, true);
             faulty.arm().expect("it arms");

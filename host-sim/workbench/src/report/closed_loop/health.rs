@@ -182,15 +182,15 @@ impl<const N: usize> Health<N> {
         };
         let known = &mut self.learnt.decisions;
         let place = known.iter().position(|known| known.decision == name);
-        let place = place.unwrap_or_else(|| {
+        let place = place.unwrap_or(known.len());
+        if place == known.len() {
             known.push(DecisionRecord {
                 decision: name,
                 times: 0,
                 first_s: t_s,
                 newest_s: 0.0,
             });
-            known.len() - 1
-        });
+        }
         known[place].newest_s += every_s;
         known[place].times += u32::from(self.newest != (count, code) && count > 0);
         self.newest = (count, code);
@@ -299,48 +299,38 @@ mod tests {
             state: SafetyState::Armed,
             reason: SafetyReason::None,
         };
+        let latched = SafetyStatus {
+            state: SafetyState::Fault,
+            reason: SafetyReason::PositionRange,
+        };
         let run = |ticks: usize, q2: f64, tau2: f64, fault: usize| {
             let mut health = Health::<6>::new(&robot);
             for k in 0..100 {
-                let late = k >= 100 - ticks;
-                let (q2, tau2) = if late { (q2, tau2) } else { (0.0, 0.0) };
-                let mut safety = armed;
-                if k >= 100 - fault {
-                    safety.state = SafetyState::Fault;
-                    safety.reason = SafetyReason::PositionRange;
-                }
-                health.add(
-                    &tick(k as f64 * 0.1, q2, tau2),
-                    Some(safety),
-                    Some(&Joints::zeros()),
-                );
+                let late = f64::from(k >= 100 - ticks);
+                let safety = if k >= 100 - fault { latched } else { armed };
+                let record = tick(k as f64 * 0.1, late * q2, late * tau2);
+                health.add(&record, Some(safety), Some(&Joints::zeros()));
             }
             health
         };
         assert_eq!(run(4, 0.5, 150.0, 0).troubles(), Vec::<String>::new());
-        let saturated = run(30, 0.5, 150.0, 0).troubles();
-        assert_eq!(
-            saturated,
-            ["joint 2 at its torque limit for 30 % of the run"]
-        );
+        let saturated = "joint 2 at its torque limit for 30 % of the run";
+        assert_eq!(run(30, 0.5, 150.0, 0).troubles(), [saturated]);
         let latched = run(90, 6.5, 10.0, 80);
-        let troubles = latched.troubles();
+        let trouble = &latched.troubles()[0];
+        let place = "board latched at 2.00 s (measured position out of range: joint 2 at 6.500";
         assert!(
-            troubles[0].starts_with(
-                "board latched at 2.00 s (measured position out of range: joint 2 at 6.500"
-            ) && troubles[0].ends_with("80 % of the run"),
-            "{troubles:?}"
+            trouble.starts_with(place) && trouble.ends_with("80 % of the run"),
+            "{trouble}"
         );
         // The feed-forward grows by 0.01 N·m a tick: the wrists pass 0.5 % of 28 N·m at 1.4 s, seen one tick later.
         let learnt = latched.learnt();
+        let adopted_s = learnt.adopted_s.expect("it grows");
+        assert!((adopted_s - 1.6).abs() < 0.11, "{adopted_s}");
+        let line = learnt.line();
         assert!(
-            (learnt.adopted_s.expect("it grows") - 1.6).abs() < 0.11,
-            "{learnt:?}"
-        );
-        assert!(
-            learnt
-                .line()
-                .starts_with("learning: torque changed from 1.")
+            line.starts_with("learning: torque changed from 1."),
+            "{line}"
         );
     }
 

@@ -26,12 +26,11 @@ pub fn page<const N: usize>(
         [] => "none".to_owned(),
         troubles => troubles.join("; "),
     };
+    let change = report.learnt.change_percent;
     let learnt = match (report.run.learning, report.learnt.adopted_s) {
         (false, _) => "off".to_owned(),
         (true, None) => "nothing".to_owned(),
-        (true, Some(t_s)) => {
-            format!("{:.1} %, from {t_s:.1} s", report.learnt.change_percent)
-        }
+        (true, Some(t_s)) => format!("{change:.1} %, from {t_s:.1} s"),
     };
     Page::new(format!("foretorque: {robot} in a closed loop"), lead)
         .card(trouble, "troubles of more than 5 % of the run")

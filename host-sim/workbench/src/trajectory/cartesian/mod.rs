@@ -60,40 +60,18 @@ fn step(from: &Placement, to: &Placement) -> Result<Vector6<f64>, &'static str> 
     Ok(stacked(&(to.origin - from.origin), &turn))
 }
 
-/// Errors of a shape: what makes it none.
-impl Shape {
-    fn circle(
-        from: &Placement,
-        centre: Vector3<f64>,
-        axis: Vector3<f64>,
-        turn: f64,
-        carry: bool,
-    ) -> Result<Self, &'static str> {
-        let out = from.origin - centre;
-        let along = axis * axis.dot(&out);
-        let arm = out - along;
-        if arm.norm() < 1e-6 {
-            return Err("the move starts on the axis: there is no radius");
-        }
-        Ok(Self::Circle {
-            centre: centre + along,
-            arm,
-            axis,
-            turn,
-            carry,
-        })
+/// The path of a move through `points`.
+///
+/// Errors: what makes it none.
+fn via(from: &Placement, points: &[Placement], duration_s: f64) -> Result<Shape, &'static str> {
+    if points.is_empty() {
+        return Err("there is no point");
     }
-
-    fn via(from: &Placement, points: &[Placement], duration_s: f64) -> Result<Self, &'static str> {
-        if points.is_empty() {
-            return Err("there is no point");
-        }
-        let mut steps = vec![Vector6::zeros()];
-        for point in points {
-            steps.push(step(from, point)?);
-        }
-        Ok(Self::Via(ViaPath::through(&steps, duration_s)))
+    let mut steps = vec![Vector6::zeros()];
+    for point in points {
+        steps.push(step(from, point)?);
     }
+    Ok(Shape::Via(ViaPath::through(&steps, duration_s)))
 }
 
 impl Curve {
@@ -146,16 +124,17 @@ impl Curve {
 
     /// The point of a position and rotation vector `x` from the start, with its two derivatives.
     fn point(&self, x: &Vector6<f64>, xd: &Vector6<f64>, xdd: &Vector6<f64>) -> Point {
+        let moving = |x: &Vector6<f64>| Vector3::new(x[0], x[1], x[2]);
         let turning = |x: &Vector6<f64>| Vector3::new(x[3], x[4], x[5]);
         let phi = turning(x);
         let (omega, alpha) = rates(&phi, &turning(xd), &turning(xdd));
         Point {
             pose: Placement {
                 rot_parent_child: rotation(&phi) * self.from.rot_parent_child,
-                origin: self.from.origin + Vector3::new(x[0], x[1], x[2]),
+                origin: self.from.origin + moving(x),
             },
-            twist: Twist::new(xd[0], xd[1], xd[2], omega.x, omega.y, omega.z),
-            rate: Twist::new(xdd[0], xdd[1], xdd[2], alpha.x, alpha.y, alpha.z),
+            twist: stacked(&moving(xd), &omega),
+            rate: stacked(&moving(xdd), &alpha),
         }
     }
 }
@@ -305,8 +284,8 @@ fn parse(text: &str) -> Result<Path, Refusal> {
                 ("line", Vec::new(), step(&from, &end).map(Shape::Line))
             }
             (None, Some(circle), None) => {
-                circle.check(&format!("{at}.circle"))?;
-                ("circle", Vec::new(), circle.shape(&from))
+                let shape = circle.shape(&format!("{at}.circle"), &from)?;
+                ("circle", Vec::new(), Ok(shape))
             }
             (None, None, Some(points)) => {
                 let mut placed: Vec<Placement> = Vec::with_capacity(points.len());
@@ -315,7 +294,7 @@ fn parse(text: &str) -> Result<Path, Refusal> {
                     let point = point.placed(&at, placed.last().unwrap_or(&from))?;
                     placed.push(point);
                 }
-                let shape = Shape::via(&from, &placed, duration_s);
+                let shape = via(&from, &placed, duration_s);
                 ("via", placed, shape)
             }
             _ => return Err(Refusal::of(at, "give exactly one of line, circle, via")),
@@ -356,28 +335,35 @@ impl PoseFile {
 }
 
 impl CircleFile {
-    fn check(&self, at: &str) -> Result<(), Refusal> {
+    /// The circle from the pose `from` on.
+    fn shape(&self, at: &str, from: &Placement) -> Result<Shape, Refusal> {
+        let (centre, normal) = (Vector3::from(self.centre_m), Vector3::from(self.normal));
         finite(&format!("{at}.centre_m"), &self.centre_m)?;
         finite(&format!("{at}.normal"), &self.normal)?;
         finite(&format!("{at}.turn_rad"), &[self.turn_rad])?;
-        if Vector3::from(self.normal).norm() < 1e-6 {
+        if normal.norm() < 1e-6 {
             return Err(Refusal::of(format!("{at}.normal"), "has no direction"));
         }
-        Ok(())
-    }
-
-    /// The circle from the pose `from` on.
-    fn shape(&self, from: &Placement) -> Result<Shape, &'static str> {
-        let axis = Vector3::from(self.normal).normalize();
-        Shape::circle(from, self.centre_m.into(), axis, self.turn_rad, self.carry)
+        let (axis, out) = (normal.normalize(), from.origin - centre);
+        let along = axis * axis.dot(&out);
+        if (out - along).norm() < 1e-6 {
+            let problem = "the move starts on the axis: there is no radius";
+            return Err(Refusal::of(at, problem));
+        }
+        Ok(Shape::Circle {
+            centre: centre + along,
+            arm: out - along,
+            axis,
+            turn: self.turn_rad,
+            carry: self.carry,
+        })
     }
 }
 
 fn finite(name: &str, values: &[f64]) -> Result<(), Refusal> {
-    match values.iter().all(|value| value.is_finite()) {
-        true => Ok(()),
-        false => Err(Refusal::of(name, "is not a finite number")),
-    }
+    let finite = values.iter().all(|value| value.is_finite());
+    let refused = || Refusal::of(name, "is not a finite number");
+    finite.then_some(()).ok_or_else(refused)
 }
 
 #[cfg(test)]

@@ -42,23 +42,19 @@ pub fn plan<const N: usize>(
         let solutions = inverse.solutions(&pose, &q);
         solutions.map_err(|reason| refused(waypoint, &pose, reason))?;
     }
-    let ends: Vec<f64> = path
-        .moves
-        .iter()
-        .scan(0.0, |end, step| {
-            *end += step.curve.duration_s;
-            Some(*end)
-        })
-        .collect();
-    let total_s = ends.last().copied().unwrap_or(0.0);
+    let mut total_s = 0.0;
+    let end_s = |step: &Move| {
+        total_s += step.curve.duration_s;
+        total_s
+    };
+    let ends: Vec<f64> = path.moves.iter().map(end_s).collect();
     let ticks = (total_s / period_s).round() as usize;
     let mut samples: Vec<(f64, State<N>)> = Vec::with_capacity(ticks + 1);
     let mut predicted = q;
     for tick in 0..=ticks {
         let t_s = tick as f64 * period_s;
-        let number = ends
-            .partition_point(|end| *end < t_s)
-            .min(path.moves.len() - 1);
+        let number = ends.partition_point(|end| *end < t_s);
+        let number = number.min(path.moves.len() - 1);
         let step = &path.moves[number];
         let begun = ends[number] - step.curve.duration_s;
         let point = step.curve.at(t_s - begun);
@@ -90,10 +86,10 @@ fn near<const N: usize>(robot: &Robot, path: &Path) -> Result<Joints<N>, Refusal
             Err(Refusal::of("near_q_rad", problem))
         }
         Some(near) => Ok(Joints::from_column_slice(near)),
-        None => Ok(Joints::from_iterator(robot.joints.iter().map(|joint| {
-            let (low, high) = joint.limits.position;
+        None => Ok(Joints::from_fn(|j, _| {
+            let (low, high) = robot.joints[j].limits.position;
             0.5 * (low + high)
-        }))),
+        })),
     }
 }
 
@@ -142,11 +138,8 @@ mod tests {
             let slope = (after.q - before.q) / (2.0 * PERIOD_S);
             let bend = (after.qd - before.qd) / (2.0 * PERIOD_S);
             assert!((slope - now.qd).amax() < 2e-4, "{t_s}");
-            assert!(
-                (bend - now.qdd).amax() < 0.05,
-                "{t_s}: {}",
-                (bend - now.qdd).amax()
-            );
+            let bent = (bend - now.qdd).amax();
+            assert!(bent < 0.05, "{t_s}: {bent}");
             let (mut left, mut number) = (*t_s, 0);
             while number + 1 < path.moves.len() && left > path.moves[number].curve.duration_s {
                 left -= path.moves[number].curve.duration_s;
@@ -243,10 +236,7 @@ mod tests {
             line = { xyz_m = [-0.4, -0.25, 0.3] }
         ";
         let error = plan::<6>(&ur5(), text, PERIOD_S).map(|samples| samples.len());
-        let text = error.expect_err("singular").to_string();
-        assert_eq!(
-            text,
-            "move 1 (line) at 0.000 s, tool at (-0.400, -0.191, 0.300) m: singular: axes 4 and 6 are parallel (wrist)"
-        );
+        let line = "move 1 (line) at 0.000 s, tool at (-0.400, -0.191, 0.300) m: singular: axes 4 and 6 are parallel (wrist)";
+        assert_eq!(error.expect_err("singular").to_string(), line);
     }
 }
