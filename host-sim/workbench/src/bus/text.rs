@@ -120,7 +120,8 @@ fn slcan(line: &str) -> Option<Frame> {
     let fd = match kind.to_ascii_lowercase() {
         't' => false,
         'd' | 'b' => true,
-        'r' => return (!extended).then(|| Frame::remote(id)),
+        'r' if extended || id > Frame::STANDARD_MAX => return None,
+        'r' => return Some(Frame::remote(id)),
         _ => return None,
     };
     let length = LENGTHS[code];
@@ -133,13 +134,14 @@ fn slcan(line: &str) -> Option<Frame> {
 }
 
 fn fdcanusb(line: &str) -> Option<Frame> {
-    let mut words = line.split_ascii_whitespace();
+    let mut words = line.split_ascii_whitespace().peekable();
     if words.next()? != "rcv" {
         return None;
     }
     let id = u32::from_str_radix(words.next()?, 16).ok()?;
-    let data = words.next().filter(|word| word.len() > 1);
-    let data = hex::decode(data.unwrap_or_default()).ok()?;
+    // A frame without data has its flags, of one letter each, in the place of it.
+    let data = words.next_if(|word| word.len() > 1).unwrap_or_default();
+    let data = hex::decode(data).ok()?;
     let flags: Vec<&str> = words.collect();
     let is = |flag: &str| flags.contains(&flag);
     let mut frame = frame_of(id, is("E") || id > Frame::STANDARD_MAX, &data)?;
@@ -236,15 +238,19 @@ mod tests {
             "can send 8001 01000A BF\n"
         );
         assert_eq!(TextForm::Fdcanusb.line(&one), "can send 1 02 bf\n");
-        let received = TextForm::Fdcanusb.frame("rcv 100 2701 E B F t123");
-        let mut expected = Frame::extended(0x100, &[0x27, 0x01]);
-        expected.fd = true;
-        assert_eq!(received, Some(expected));
+        let extended = Frame::extended(0x100, &[0x27, 0x01]).into_fd(0);
+        for (line, frame) in [
+            ("rcv 100 2701 E B F t123", extended),
+            ("rcv 100  E b f", Frame::extended(0x100, &[])),
+            ("rcv 100  e b f", Frame::standard(0x100, &[])),
+        ] {
+            assert_eq!(TextForm::Fdcanusb.frame(line), Some(frame), "{line}");
+        }
     }
 
     #[test]
     fn other_lines_are_no_frames() {
-        let slcan = "|z|Z|t|t12|t1239|t1239112233445566778899|tXYZ0|t12328";
+        let slcan = "|z|Z|t|t12|t1239|t1239112233445566778899|tXYZ0|t12328|rFFF0|t8000";
         let fdcanusb = "OK|rcv|rcv zz 00|rcv 1 0g|rcv 1 000|ü";
         for line in slcan.split('|').chain(fdcanusb.split('|')) {
             assert_eq!(TextForm::Slcan.frame(line), None, "{line}");
