@@ -89,7 +89,7 @@ impl Arguments {
         };
         let mut board = board.connect::<A, N, P>(None)?;
         if let Some(file) = &self.key_file {
-            board.set_write_key(read_key(file)?);
+            board.key = Some(read_key(file)?);
         }
         let Some(source) = self.read else {
             board.upload_bank(&read_for(&self.file, robot)?)?;

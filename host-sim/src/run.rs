@@ -143,7 +143,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let stream = arguments.stream();
     let mut board = arguments.board.connect::<A, N, P>(stream.as_deref())?;
     if let Some(file) = &arguments.key_file {
-        board.set_write_key(bank::read_key(file)?);
+        board.key = Some(bank::read_key(file)?);
     }
     if arguments.brake_close_ms > 0 {
         board.configure(Configuration {
@@ -157,7 +157,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         let mut with_gains = bank.map_or_else(|| board.read_bank(), Ok)?;
         with_gains.drive_gains_nm_a = gains.iter().copied().collect();
         bank = Some(with_gains);
-        board.send_currents(gains);
+        board.gains = Some(gains);
     }
     if let Some(bank) = &bank {
         board.upload_bank(bank)?;

@@ -143,7 +143,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut board = arguments.board.connect::<A, N, P>(None)?;
     if let Some(bank) = &bank {
         if let Some(file) = &arguments.key_file {
-            board.set_write_key(bank::read_key(file)?);
+            board.key = Some(bank::read_key(file)?);
         }
         board.upload_bank(bank)?;
     }

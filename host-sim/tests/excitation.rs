@@ -165,7 +165,7 @@ fn client(transport: Box<dyn Transport>) -> Client<N> {
     let connected = Client::connect::<Ur5, P>(transport, BOOT);
     let mut client = connected.unwrap_or_else(|error| panic!("{error}"));
     // A machine that is busy with other tests may keep the emulator waiting.
-    client.set_timeout(Duration::from_secs(20));
+    client.timeout = Duration::from_secs(20);
     client
 }
 

@@ -96,7 +96,7 @@ fn costs_repeat_from_run_to_run() {
 #[test]
 fn the_timer_runs_the_tick_at_its_period_when_it_paces() {
     let mut client = client(Image::Joint);
-    client.set_timeout(TIMEOUT);
+    client.timeout = TIMEOUT;
     paced(&mut client, 2000, Pacing::SysTick);
     let mut last = None;
     for k in 0..20 {
@@ -158,7 +158,7 @@ fn no_learning_sample_is_lost_and_no_set_late_at_a_thousand_ticks_a_second() {
     // its own time: there the learner has to be fast enough. Where the link paces the answer waits for it.
     for (pacing, samples) in [(Pacing::Link, 700), (Pacing::SysTick, 100)] {
         let mut client = client(Image::Joint);
-        client.set_timeout(TIMEOUT);
+        client.timeout = TIMEOUT;
         paced(&mut client, 1000, pacing);
         client.learning(true).expect("the board learns");
         for k in 0..samples {

@@ -242,7 +242,7 @@ fn the_watchdog_is_not_fed_when_the_learner_hangs_although_the_tick_goes_on() {
     let mut options = QemuOptions::new(Image::Joint);
     options.elf = hung("EXTI2");
     let mut trial = Trial::start("unfed", options);
-    trial.client.wait_for_learning(false);
+    trial.client.waits_for_learning = false;
     let start = feeds(&trial);
     for _ in 0..100 {
         trial.sample(&still());
@@ -266,13 +266,13 @@ fn a_board_with_a_key_in_its_flash_takes_signed_banks_only() {
     let error = trial.client.upload_bank(&bank).expect_err("it has a key");
     assert!(error.to_string().contains("--key-file"), "{error}");
     let stranger = WriteKey::from_slot([1; 16]).expect("a key");
-    trial.client.set_write_key(stranger);
+    trial.client.key = Some(stranger);
     let error = trial.client.upload_bank(&bank).expect_err("a wrong key");
     let refused = matches!(error, BoardError::Refused(NackReason::Key));
     assert!(refused, "{error}");
     assert_eq!(trial.client.read_bank().expect("a bank"), before);
     let own = WriteKey::from_slot(key).expect("a key");
-    trial.client.set_write_key(own);
+    trial.client.key = Some(own);
     trial.client.upload_bank(&bank).expect("the right key");
     assert_eq!(trial.client.read_bank().expect("a bank"), bank);
 }

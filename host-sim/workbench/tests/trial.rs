@@ -75,7 +75,7 @@ impl Trial {
         let trace = scratch(&format!("{name}.trace"));
         options.trace = Some(trace.clone());
         let mut client = connected(started(&options));
-        client.set_timeout(TIMEOUT);
+        client.timeout = TIMEOUT;
         Self {
             client,
             options,

@@ -38,6 +38,17 @@ use serde::{Deserialize, Serialize};
 use series::Extremes;
 use std::f64::consts::{PI, TAU};
 
+const _: () = assert!(ORDER == HARMONICS);
+
+/// Longest period, s: every millisecond of it is a row.
+pub const MOST_PERIOD_S: f64 = 1000.0;
+/// Points on which the bounds are taken; what lies between them is bounded.
+const POINTS: usize = 10_000;
+/// Share of every limit that a quick search uses.
+const LIMIT_SHARE: f64 = 0.95;
+/// Points of one period on which the limits are checked.
+const CHECK_POINTS: usize = 4000;
+
 /// A periodic excitation of all joints, at rest at both ends of the period.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Excitation {
@@ -106,17 +117,7 @@ impl Excitation {
         }
         Ok(())
     }
-}
 
-const _: () = assert!(ORDER == HARMONICS);
-
-/// Longest period, s: every millisecond of it is a row.
-pub const MOST_PERIOD_S: f64 = 1000.0;
-
-/// Points on which the bounds are taken; what lies between them is bounded.
-const POINTS: usize = 10_000;
-
-impl Excitation {
     /// The series in f32, with the bounds it keeps: taken anew from the coefficients, as a certificate in a file proves
     /// nothing.
     ///
@@ -157,14 +158,7 @@ impl Excitation {
             }),
         })
     }
-}
 
-/// Share of every limit that a quick search uses.
-const LIMIT_SHARE: f64 = 0.95;
-/// Points of one period on which the limits are checked.
-const CHECK_POINTS: usize = 4000;
-
-impl Excitation {
     /// Best of so many random `candidates`: the one whose stacked base regressor, in the frames of the board, has the smallest
     /// condition number. Keeps limits of position, speed and acceleration, and ignores table and links.
     ///

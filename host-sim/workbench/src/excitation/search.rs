@@ -39,6 +39,16 @@ const POOL: usize = 8;
 /// Least share of its tightest limit that a random series uses.
 const LEAST_SHARE: f64 = 0.4;
 
+/// Random series by which feasible speeds are found, and instants of each.
+const TRIALS: usize = 256;
+const TRIAL_INSTANTS: usize = 50;
+/// Factor on the speed of a joint whose torque is too large, and steps before a joint counts as too weak: to 2 %.
+const SLOWER: f64 = 0.7;
+const SLOWDOWNS: usize = 12;
+/// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
+/// what bounds on the rates between points leave.
+const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
+
 /// The best excitation of all starts, with its certificate; all its limits hold.
 ///
 /// With `given`, that trajectory is the only start, and the result is never worse than it unless it misses a limit.
@@ -275,29 +285,7 @@ impl<'a> Search<'a> {
         let last = errors.find_map(|result| result.as_ref().err());
         Err(last.cloned().unwrap_or_else(unseen))
     }
-}
 
-/// Lowers the torques that the search allows by what the certificate reached beyond a limit: it takes friction of either sign,
-/// and bounds between its points.
-fn tighten(torque: &mut [f64], certificate: &Certificate) {
-    let checks = certificate.limits.iter();
-    let checks = checks.filter(|check| check.limit == "torque");
-    for (torque, check) in torque.iter_mut().zip(checks) {
-        *torque *= (check.allowed / check.worst).min(1.0);
-    }
-}
-
-/// Random series by which feasible speeds are found, and instants of each.
-const TRIALS: usize = 256;
-const TRIAL_INSTANTS: usize = 50;
-/// Factor on the speed of a joint whose torque is too large, and steps before a joint counts as too weak: to 2 %.
-const SLOWER: f64 = 0.7;
-const SLOWDOWNS: usize = 12;
-/// Shares of the torque limits for the described arm: the true one may be a quarter heavier; and where that leaves no path,
-/// what bounds on the rates between points leave.
-const TORQUE_SHARES: [f64; 2] = [TORQUE_SHARE, 0.9];
-
-impl Search<'_> {
     /// Slows the joints whose torque limits allow no motion at full speed, until one of [`TRIALS`] random series keeps all of
     /// them. Gravity, friction and inertia are those of the description.
     ///
@@ -370,6 +358,16 @@ impl Search<'_> {
             }
         }
         best.1
+    }
+}
+
+/// Lowers the torques that the search allows by what the certificate reached beyond a limit: it takes friction of either sign,
+/// and bounds between its points.
+fn tighten(torque: &mut [f64], certificate: &Certificate) {
+    let checks = certificate.limits.iter();
+    let checks = checks.filter(|check| check.limit == "torque");
+    for (torque, check) in torque.iter_mut().zip(checks) {
+        *torque *= (check.allowed / check.worst).min(1.0);
     }
 }
 

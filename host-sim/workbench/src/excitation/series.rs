@@ -63,6 +63,13 @@ impl Extremes {
         };
         (1..).zip(&robot.joints).map(of_joint).collect()
     }
+
+    /// Largest factor on a swing with the extremes `swing` that keeps these limits.
+    fn scale(&self, swing: &Self) -> f64 {
+        let span = |of: &Self| of.q.1 - of.q.0;
+        let rates = (self.qd / swing.qd).min(self.qdd / swing.qdd);
+        rates.min(span(self) / span(swing))
+    }
 }
 
 impl JointSeries {
@@ -172,16 +179,6 @@ impl JointSeries {
             a_rad_s: self.a_rad_s.map(|a| a * scale),
             b_rad_s: self.b_rad_s.map(|b| b * scale),
         }
-    }
-}
-
-impl Extremes {
-    /// Largest factor on a swing with the extremes `swing` that keeps these limits.
-    fn scale(&self, swing: &Self) -> f64 {
-        let span = |of: &Self| of.q.1 - of.q.0;
-        (self.qd / swing.qd)
-            .min(self.qdd / swing.qdd)
-            .min(span(self) / span(swing))
     }
 }
 

@@ -235,41 +235,40 @@ fn chosen(
         let problem = format!("no {named} of {JOINT_STATE}, only {found}");
         return Err(refused(path, problem));
     }
-    let mut topic = own[0];
-    if own.len() > 1 {
-        let mut alike = Vec::new();
-        let mut joints = Vec::new();
-        for &topic in &own {
-            if let Some(Begun { seen, most, .. }) = begin(files, topic, topics.likeness)? {
-                let names = &seen[most].names;
-                alike.push(((topics.likeness)(names), topic));
-                joints.push(format!("{topic} ({})", names.join(", ")));
-            }
+    let (mut alike, mut joints) = (Vec::new(), Vec::new());
+    for &topic in &own {
+        if let Some(begun) = begin(files, topic, topics.likeness)? {
+            let names = &begun.seen[begun.most].names;
+            joints.push(format!("{topic} ({})", names.join(", ")));
+            alike.push(((topics.likeness)(names), topic, begun));
         }
-        let most = alike.iter().map(|own| own.0).max();
-        alike.retain(|own| Some(own.0) == most);
-        topic = match alike[..] {
-            [(1.., topic)] => topic,
-            [(1.., first), ..] => {
-                let all: Vec<&str> = alike.iter().map(|own| own.1).collect();
-                let problem = format!(
-                    "{} all have the joints of the arm: write `topic = \"{first}\"`, or another of them, into a file for --columns-from",
-                    all.join(", ")
-                );
-                return Err(refused(path, problem));
-            }
-            _ => {
-                let problem = format!(
-                    "joint states in {}, and no topic has all joints of the arm: record one that has",
-                    joints.join(", ")
-                );
-                return Err(refused(path, problem));
-            }
-        };
     }
-    let begun = begin(files, topic, topics.likeness)?;
-    let begun = begun.ok_or_else(|| TableError::empty(path))?;
-    Ok((topic.to_owned(), begun))
+    let most = alike.iter().map(|own| own.0).max();
+    alike.retain(|own| Some(own.0) == most);
+    let problem = match alike[..] {
+        _ if own.len() == 1 => None,
+        [(1.., ..)] => None,
+        [(1.., first, _), ..] => {
+            let all: Vec<&str> = alike.iter().map(|own| own.1).collect();
+            let all = all.join(", ");
+            Some(format!(
+                "{all} all have the joints of the arm: write `topic = \"{first}\"`, or another of them, into a file for --columns-from"
+            ))
+        }
+        _ => {
+            let joints = joints.join(", ");
+            Some(format!(
+                "joint states in {joints}, and no topic has all joints of the arm: record one that has"
+            ))
+        }
+    };
+    if let Some(problem) = problem {
+        return Err(refused(path, problem));
+    }
+    let chosen = alike
+        .pop()
+        .map(|(_, topic, begun)| (topic.to_owned(), begun));
+    chosen.ok_or_else(|| TableError::empty(path))
 }
 
 /// Messages on their way to the table.

@@ -18,6 +18,13 @@ const VALIDATION_S: f64 = 30.0;
 /// Fastest joint of the validation path, rad/s.
 pub const VALIDATION_PEAK_RAD_S: f64 = 2.7;
 
+/// Longest motion, s: every millisecond of it is a row.
+pub const MOST_DURATION_S: f64 = 1e5;
+/// Excess over a limit, or over the range of positions, by a rounding in a file of six digits.
+const ROUNDED: f64 = 1e-6;
+/// Excess between two rows: a cubic through rows at the limits leaves these a little.
+const CURVED: f64 = 1e-2;
+
 /// A motion to play, with its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Trajectory<const N: usize> {
@@ -116,44 +123,7 @@ impl<const N: usize> Trajectory<N> {
     pub fn ticks(&self, period_s: f64) -> usize {
         (self.duration_s() / period_s).round() as usize
     }
-}
 
-/// Longest motion, s: every millisecond of it is a row.
-pub const MOST_DURATION_S: f64 = 1e5;
-/// Excess over a limit, or over the range of positions, by a rounding in a file of six digits.
-const ROUNDED: f64 = 1e-6;
-/// Excess between two rows: a cubic through rows at the limits leaves these a little.
-const CURVED: f64 = 1e-2;
-/// One motion keeps the limits, but for a share of them.
-fn within<const N: usize>(
-    robot: &Robot,
-    t_s: f64,
-    state: &State<N>,
-    share: f64,
-) -> Result<(), Refusal> {
-    for (j, joint) in robot.joints.iter().take(N).enumerate() {
-        let limits = &joint.limits;
-        let ((low, high), q) = (limits.position, state.q[j]);
-        let end = if q < low { low } else { high };
-        let past_end = (low - q).max(q - high);
-        let speed = |asked: f64, limit: f64, unit| (asked, limit, asked.abs() - limit, limit, unit);
-        for (asked, limit, broken, size, unit) in [
-            (q, end, past_end, high - low, "rad"),
-            speed(state.qd[j], limits.velocity, "rad/s"),
-            speed(state.qdd[j], limits.acceleration, "rad/s²"),
-        ] {
-            if broken > share * size {
-                let joint = j + 1;
-                return Err(Refusal(format!(
-                    "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
-                )));
-            }
-        }
-    }
-    Ok(())
-}
-
-impl<const N: usize> Trajectory<N> {
     /// Loads the argument of `--trajectory`: `validation`; an excitation (`.json`); a path of the tool (`.toml`); else a table with
     /// time, q, qd and qdd. Limits are checked.
     ///
@@ -203,6 +173,35 @@ impl<const N: usize> Trajectory<N> {
         trajectory.check(robot, period_s).map_err(in_file(name))?;
         Ok(trajectory)
     }
+}
+
+/// One motion keeps the limits, but for a share of them.
+fn within<const N: usize>(
+    robot: &Robot,
+    t_s: f64,
+    state: &State<N>,
+    share: f64,
+) -> Result<(), Refusal> {
+    for (j, joint) in robot.joints.iter().take(N).enumerate() {
+        let limits = &joint.limits;
+        let ((low, high), q) = (limits.position, state.q[j]);
+        let end = if q < low { low } else { high };
+        let past_end = (low - q).max(q - high);
+        let speed = |asked: f64, limit: f64, unit| (asked, limit, asked.abs() - limit, limit, unit);
+        for (asked, limit, broken, size, unit) in [
+            (q, end, past_end, high - low, "rad"),
+            speed(state.qd[j], limits.velocity, "rad/s"),
+            speed(state.qdd[j], limits.acceleration, "rad/s²"),
+        ] {
+            if broken > share * size {
+                let joint = j + 1;
+                return Err(Refusal(format!(
+                    "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
+                )));
+            }
+        }
+    }
+    Ok(())
 }
 
 fn read(path: &Path) -> Result<String, Refusal> {

@@ -305,7 +305,7 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
                 !begun || fault != Fault::Hung
             },
         );
-        client.set_timeout(Duration::from_millis(1));
+        client.timeout = Duration::from_millis(1);
         let idle = idle();
         while rounds.borrow().len() < FAULT[2] {
             // A board that hangs does not answer.

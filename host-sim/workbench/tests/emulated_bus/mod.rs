@@ -82,7 +82,7 @@ fn connected<B: FrameBoard + 'static>(
     before: impl FnMut(&mut B) -> bool + 'static,
 ) -> Client<JOINTS> {
     let mut client = trial::connected(Ticked { board, before });
-    client.set_timeout(TIMEOUT);
+    client.timeout = TIMEOUT;
     client
 }
 

@@ -16,6 +16,10 @@ use std::time::Duration;
 
 /// How long the store may take: erasing a sector of 128 KiB takes up to 2 s (DS8626 table 48), and it has two.
 const STORE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Samples that a board is given, at most, to become ready to be armed.
+const ARM_ATTEMPTS: u32 = 30;
+/// Samples that a board is given, at most, to bring its torque to zero: the slowest brakes at the shortest period, twice.
+const DISARM_SAMPLES: u32 = 20_000;
 
 impl<const N: usize> Client<N> {
     /// Disarms the board, sends `bank` and has the board take it over, whole or not at all. Learning must be off.
@@ -136,14 +140,7 @@ impl<const N: usize> Client<N> {
             other => Err(refused(other)),
         }
     }
-}
 
-/// Samples that a board is given, at most, to become ready to be armed.
-const ARM_ATTEMPTS: u32 = 30;
-/// Samples that a board is given, at most, to bring its torque to zero: the slowest brakes at the shortest period, twice.
-const DISARM_SAMPLES: u32 = 20_000;
-
-impl<const N: usize> Client<N> {
     /// Runs one tick with `sample` and returns its torque.
     ///
     /// Errors: as below; after [`BoardError::Timeout`] the sample counts as lost and the next one may follow;

@@ -15,6 +15,11 @@ use foretorque_link::wire::{
 use foretorque_link::write_key::WriteKey;
 use std::time::{Duration, Instant};
 
+/// Largest number of times that an idempotent request is sent.
+const ATTEMPTS: usize = 3;
+/// How long one hello is waited for while a board may still be booting.
+const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
+
 /// Shares of the torque of one tick, N·m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BoardShares<const N: usize> {
@@ -50,11 +55,13 @@ pub struct Client<const N: usize> {
     /// Bytes received and not yet decoded.
     bytes: Vec<u8>,
     next: usize,
-    timeout: Duration,
+    /// Longest time for an answer.
+    pub timeout: Duration,
     /// Number of the period of the next sample.
     period: u8,
-    /// Answers come after the learning step.
-    waits_for_learning: bool,
+    /// The torque of a sample is answered only when its learning step is done, so that what the board learns does not depend on
+    /// when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
+    pub waits_for_learning: bool,
     hello: BoardHello,
     /// Safety state of the last reply.
     safety: SafetyStatus,
@@ -62,9 +69,10 @@ pub struct Client<const N: usize> {
     presented: Option<SampleFrame<N>>,
     /// Telemetry that the board sent unasked.
     telemetry: Vec<TelemetryFrame>,
-    key: Option<WriteKey>,
-    /// Gains by which efforts are sent as currents, N × N·m/A.
-    gains: Option<JointVector<N>>,
+    /// Key that signs uploads, where the board asks for it.
+    pub key: Option<WriteKey>,
+    /// Gains by which measured torques are sent as motor currents, N × N·m/A: those of the board's bank.
+    pub gains: Option<JointVector<N>>,
 }
 
 impl<const N: usize> Client<N> {
@@ -106,27 +114,6 @@ impl<const N: usize> Client<N> {
             ));
         }
         Ok(client)
-    }
-
-    /// Signs uploads from now on, where the board asks for it.
-    pub fn set_write_key(&mut self, key: WriteKey) {
-        self.key = Some(key);
-    }
-
-    /// Sends measured torques as motor currents from now on. The `gains`, N × N·m/A, are in the board's bank.
-    pub fn send_currents(&mut self, gains: JointVector<N>) {
-        self.gains = Some(gains);
-    }
-
-    /// How long an answer is waited for.
-    pub fn set_timeout(&mut self, timeout: Duration) {
-        self.timeout = timeout;
-    }
-
-    /// Whether the torque of a sample is answered only when its learning step is done, so that what the board learns does not depend
-    /// on when the next sample comes. So it is from the start, unless the transport [keeps time](Transport::keeps_time).
-    pub fn wait_for_learning(&mut self, waits_for_learning: bool) {
-        self.waits_for_learning = waits_for_learning;
     }
 
     /// Lets a period go by without a sample: the number of the next one shows it.
@@ -192,48 +179,7 @@ impl<const N: usize> Client<N> {
         self.hello.configuration = Configuration::default();
         Ok(())
     }
-}
 
-fn acknowledged<const N: usize>(answer: BoardMessage<N>) -> Result<(), BoardError> {
-    match answer {
-        BoardMessage::Ack => Ok(()),
-        other => Err(refused(other)),
-    }
-}
-
-fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
-    match answer {
-        BoardMessage::Nack(reason) => BoardError::Refused(reason),
-        _ => BoardError::UnexpectedAnswer,
-    }
-}
-
-/// Stands where the board's hello will stand.
-fn no_hello() -> BoardHello {
-    use foretorque_link::wire::{Capabilities, ChipStatus, CounterKind, Name, ResetReason};
-    BoardHello {
-        arm_hash: 0,
-        arm: Name::new(),
-        joints: 0,
-        base_columns: 0,
-        firmware: Name::new(),
-        capabilities: Capabilities::default(),
-        counter: CounterKind::None,
-        counter_hz: 0,
-        configuration: Configuration::default(),
-        reset_reason: ResetReason::Unknown,
-        safety: SafetyStatus::default(),
-        boot_counts: 0,
-        chip: ChipStatus::VIRTUAL,
-    }
-}
-
-/// Largest number of times that an idempotent request is sent.
-const ATTEMPTS: usize = 3;
-/// How long one hello is waited for while a board may still be booting.
-const HELLO_TIMEOUT: Duration = Duration::from_millis(300);
-
-impl<const N: usize> Client<N> {
     fn await_hello(&mut self, boot: Duration) -> Result<BoardHello, BoardError> {
         let deadline = Instant::now() + boot;
         // An unfinished frame of a predecessor ends here.
@@ -333,5 +279,39 @@ impl<const N: usize> Client<N> {
             Ok(count) => Ok(count > 0),
             Err(error) => Err(BoardError::Closed(self.transport.name(), error)),
         }
+    }
+}
+
+fn acknowledged<const N: usize>(answer: BoardMessage<N>) -> Result<(), BoardError> {
+    match answer {
+        BoardMessage::Ack => Ok(()),
+        other => Err(refused(other)),
+    }
+}
+
+fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
+    match answer {
+        BoardMessage::Nack(reason) => BoardError::Refused(reason),
+        _ => BoardError::UnexpectedAnswer,
+    }
+}
+
+/// Stands where the board's hello will stand.
+fn no_hello() -> BoardHello {
+    use foretorque_link::wire::{Capabilities, ChipStatus, CounterKind, Name, ResetReason};
+    BoardHello {
+        arm_hash: 0,
+        arm: Name::new(),
+        joints: 0,
+        base_columns: 0,
+        firmware: Name::new(),
+        capabilities: Capabilities::default(),
+        counter: CounterKind::None,
+        counter_hz: 0,
+        configuration: Configuration::default(),
+        reset_reason: ResetReason::Unknown,
+        safety: SafetyStatus::default(),
+        boot_counts: 0,
+        chip: ChipStatus::VIRTUAL,
     }
 }
