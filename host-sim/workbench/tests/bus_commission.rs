@@ -64,12 +64,10 @@ fn commissioned(arm: &mut Arm6) -> (Option<String>, f64) {
     // No torque exceeds a tenth of its limit in the first four.
     let steps = Step::ALL.into_iter().take(4);
     let failed = steps.map(|step| arm.step(step)).find_map(Result::err);
+    let failed = failed.map(|error| error.to_string());
     let shares = arm.player.network.peak_nm.iter().zip(Ur5::LIMITS);
-    let share = shares.map(|(peak, limits)| peak / f64::from(limits.torque));
-    (
-        failed.map(|error| error.to_string()),
-        share.fold(0.0, f64::max),
-    )
+    let shares = shares.map(|(peak, limits)| peak / f64::from(limits.torque));
+    (failed, shares.fold(0.0, f64::max))
 }
 
 #[test]
@@ -82,20 +80,15 @@ fn an_arm_as_described_passes_below_a_tenth_of_its_torque() {
     for found in &arm.found {
         assert!((found.turn_ratio.expect("turned") - 1.0).abs() < 0.01);
         assert!(found.zero_error_rad.expect("seen").abs() < 0.01);
-        assert!(
-            (0.6..1.6).contains(&found.torque_ratio.expect("pushed")),
-            "{found:?}"
-        );
+        let ratio = found.torque_ratio.expect("pushed");
+        assert!((0.6..1.6).contains(&ratio), "{found:?}");
     }
     assert!(arm.player.network.all_off());
     arm.step(Step::Turn).expect("a step may be repeated");
     arm.step(Step::Friction).expect("the loop runs");
     // Coulomb and viscous friction of the simulated arm at 0.15 rad/s: within a factor of the described.
-    for (found, joint) in arm
-        .found
-        .iter()
-        .zip(Robot::load("ur5").expect("built in").joints)
-    {
+    let robot = Robot::load("ur5").expect("built in");
+    for (found, joint) in arm.found.iter().zip(&robot.joints) {
         let described = joint.friction.coulomb + 0.15 * joint.friction.viscous;
         let share = found.friction_nm.expect("swept") / described;
         assert!((0.6..1.8).contains(&share), "{share} of {described} N·m");
@@ -130,10 +123,8 @@ fn a_known_weight_finds_a_gain_that_the_described_masses_do_not_show() {
         let (failed, _) = commissioned(&mut arm);
         assert_eq!(failed, None);
         arm.weight = Some(weight());
-        let failed = arm
-            .step(Step::Weight)
-            .expect_err("a wrong gain")
-            .to_string();
+        let failed = arm.step(Step::Weight).expect_err("a wrong gain");
+        let failed = failed.to_string();
         println!("{failed}");
         let expected = format!("joint {}: gain of torque: 2 kg are ", joint + 1);
         assert!(failed.starts_with(&expected), "{failed}");
@@ -144,6 +135,14 @@ fn a_known_weight_finds_a_gain_that_the_described_masses_do_not_show() {
 
 #[test]
 fn every_planted_mistake_is_named_before_a_tenth_of_the_torque() {
+    const TORQUE: &str =
+        "torque off: joint 3: scale of torque is 54 in the profile, 28 in the drive";
+    const POSITION: &str =
+        "torque off: joint 5: range of position is 20 in the profile, 12.5 in the drive";
+    const VELOCITY: &str =
+        "torque off: joint 1: range of velocity is 45 in the profile, 20 in the drive";
+    const ID: &str = "joint 5: no drive answers at id 5 on bus 1; ids that answer: 1 on bus 0, 2 on bus 0, 3 on bus 0";
+    const BUS: &str = "joint 1: no drive answers at id 1 on bus 0; ids that answer: ";
     let cases: [(Plant6, &str); 16] = [
         // Mounted the other way round; phases swapped.
         (|d| d[1].profile.sign = 1.0, "joint 2: sign -1: "),
@@ -153,18 +152,9 @@ fn every_planted_mistake_is_named_before_a_tenth_of_the_torque() {
         (|d| d[3].gain = 0.1, "joint 4: scale of torque: no motion"),
         (|d| d[4].gain = 3.0, "joint 5: scale of torque: "),
         // T_MAX, P_MAX and V_MAX of the drive.
-        (
-            |d| ranges(&mut d[2]).torque = 28.0,
-            "torque off: joint 3: scale of torque is 54 in the profile, 28 in the drive",
-        ),
-        (
-            |d| ranges(&mut d[4]).position = 12.5,
-            "torque off: joint 5: range of position is 20 in the profile, 12.5 in the drive",
-        ),
-        (
-            |d| ranges(&mut d[0]).velocity = 20.0,
-            "torque off: joint 1: range of velocity is 45 in the profile, 20 in the drive",
-        ),
+        (|d| ranges(&mut d[2]).torque = 28.0, TORQUE),
+        (|d| ranges(&mut d[4]).position = 12.5, POSITION),
+        (|d| ranges(&mut d[0]).velocity = 20.0, VELOCITY),
         (
             |d| {
                 let [one, other] = [d[1].profile, d[2].profile];
@@ -176,14 +166,8 @@ fn every_planted_mistake_is_named_before_a_tenth_of_the_torque() {
         (|d| d[0].profile.gear = 9.0, "joint 1: gear 6: "),
         (|d| d[5].profile.gear = 1.0, "joint 6: gear 3: "),
         (|d| d[3].profile.zero = 0.4, "joint 4: zero 0: "),
-        (
-            |d| d[4].profile.id = 9,
-            "joint 5: no drive answers at id 5 on bus 1; ids that answer: 1 on bus 0, 2 on bus 0, 3 on bus 0",
-        ),
-        (
-            |d| d[0].bus = 1,
-            "joint 1: no drive answers at id 1 on bus 0; ids that answer: ",
-        ),
+        (|d| d[4].profile.id = 9, ID),
+        (|d| d[0].bus = 1, BUS),
         (
             |d| (d[5].profile.id, d[5].profile.host_id) = (5, d[4].profile.host_id),
             "joint 5: two drives answer at id 5",
@@ -258,11 +242,10 @@ fn sound_drives_pass_at_any_friction_and_wrong_ones_at_none() {
                 false => "scale of torque",
             };
             let message = format!("joint {}: {word}: of ", joint + 1);
-            let failed = failed.unwrap_or_else(|| panic!("{name}, {gain}, {share}: nothing"));
-            assert!(
-                failed.starts_with(&message),
-                "{name}, {gain}, {share}: {failed}"
-            );
+            let named = failed
+                .as_ref()
+                .is_some_and(|failed| failed.starts_with(&message));
+            assert!(named, "{name}, {gain}, {share}: {failed:?}");
         }
         // A joint that is held by more than it is pushed has no ratio, and that is no mistake.
         assert_eq!(pushed(arm, (0.15, 1), |_| ()), (None, [None; 6]), "{name}");

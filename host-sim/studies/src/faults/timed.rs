@@ -58,7 +58,7 @@ impl Timeline {
         description.capabilities = description.capabilities | Capabilities::TIMER;
         let board = Native::described(description, NoLocalSensor)?;
         let limits = SafetyLimits::for_arm::<Ur5, PARAMETERS>(1000);
-        let promises = Promises::new(limits, board.session().feed_forward().config());
+        let promises = Promises::new(limits, board.session.feed_forward().config());
         let place = match pacing {
             Pacing::Link => "native, link",
             Pacing::SysTick => "native, timer",
@@ -98,7 +98,7 @@ impl Timeline {
     }
 
     fn state(&self) -> SafetyState {
-        self.board.session().safety().state
+        self.board.session.safety().state
     }
 
     /// Frame of the next sample that has not been sent on.
@@ -148,7 +148,7 @@ impl Timeline {
                 _ => {}
             }
         }
-        let session = self.board.session();
+        let session = &self.board.session;
         let (torque, enabled) = (*session.torque_output(), session.torque_enabled());
         let status = session.safety();
         let campaign = &mut self.campaign;
@@ -224,7 +224,7 @@ pub(super) fn timed(
         };
         timeline.campaign.inject(faults);
         timeline.timer();
-        let ended = timeline.board.session().safety().reason == SafetyReason::CommandTimeout;
+        let ended = timeline.board.session.safety().reason == SafetyReason::CommandTimeout;
         timeline.campaign.timeouts += u64::from(ended && !timed_out);
         timed_out = ended;
     }

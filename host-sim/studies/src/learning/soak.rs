@@ -275,7 +275,7 @@ fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
     for tick in 0..ticks {
         let torque = board.sample(&source.next())?.total;
         let native = native.borrow();
-        let feed_forward = native.session().feed_forward();
+        let feed_forward = native.session.feed_forward();
         let finite = torque.iter().all(|tau| tau.is_finite());
         not_finite += usize::from(!(finite && feed_forward.in_force().is_finite()));
         let log = &feed_forward.state().report.decisions;
@@ -285,7 +285,7 @@ fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
         }
         decided = log.count();
         if tick % CHUNK == CHUNK - 1 {
-            let diagonal = native.learner().state().estimate.filter().diagonal();
+            let diagonal = native.learner.state().estimate.filter().diagonal();
             // Not a number would get lost in a minimum.
             let finite = |d: f32| if d.is_finite() { f64::from(d) } else { -1.0 };
             least = diagonal.iter().map(|&d| finite(d)).fold(least, f64::min);
@@ -293,7 +293,7 @@ fn native(setup: &Setup, ticks: usize, advance: &dyn Fn()) -> Result<SoakReport,
         }
     }
     let native = native.borrow();
-    let feed_forward = native.session().feed_forward();
+    let feed_forward = native.session.feed_forward();
     let error = setup.unseen_error(&feed_forward.in_force(), &source.arms[source.arm]);
     Ok(SoakReport {
         version: env!("CARGO_PKG_VERSION").to_owned(),

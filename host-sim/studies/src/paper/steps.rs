@@ -286,7 +286,7 @@ fn joint_sequence(
     for tick in 0..ticks {
         let t_s = tick as f64 * TICK_S;
         let series = excitation.at::<JOINTS>(t_s);
-        let pose = inverse.chain().forward(&series.q);
+        let pose = inverse.chain.forward(&series.q);
         let q = inverse.onwards(&pose, &predicted, JUMP_RAD);
         let q =
             q.map_err(|error| StudyError::from(format!("excitation at {t_s:.3} s: {error}")))?;

@@ -113,13 +113,16 @@ pub enum BoardError {
 /// The learner takes its learning sample right after each reply, as it does on the board that simulates in bulk.
 pub struct Native<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N> = NoLocalSensor> {
     arm: &'static ArmModel<N, P>,
-    session: Session<A, N, P>,
+    /// The session inside.
+    pub session: Session<A, N, P>,
     mailboxes: Mailboxes<N, P>,
     housekeeping: Housekeeping<A, N, P>,
-    learner: Learner<A, N, P>,
+    /// The learner inside.
+    pub learner: Learner<A, N, P>,
     out: FrameBuffer,
     waiting: VecDeque<u8>,
-    sensor: S,
+    /// The sensor of its own.
+    pub sensor: S,
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
@@ -132,11 +135,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Native<A, N, P> {
 }
 
 impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Native<A, N, P, S> {
-    /// Session and sensor.
-    pub fn parts(&mut self) -> (&mut Session<A, N, P>, &mut S) {
-        (&mut self.session, &mut self.sensor)
-    }
-
     /// Lets one period of the timer pass that the description of the board may have, as on silicon beside the samples, whichever
     /// of the two paces the board.
     pub fn timer(&mut self) {
@@ -167,16 +165,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, S: LocalSensor<N>> Native<A, 
         native.session.send_hello(&mut native.out);
         native.flush();
         Ok(native)
-    }
-
-    /// The session inside.
-    pub fn session(&self) -> &Session<A, N, P> {
-        &self.session
-    }
-
-    /// The learner inside.
-    pub fn learner(&self) -> &Learner<A, N, P> {
-        &self.learner
     }
 
     /// Makes the arm of this board the described arm of this thread.

@@ -25,7 +25,8 @@ pub struct BusPlayer<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
     pub controller: BusController<A, N, P>,
     /// The bus.
     pub network: W,
-    learner: Learner<A, N, P>,
+    /// The learner.
+    pub learner: Learner<A, N, P>,
     mailbox: LearnerMailbox<N, P>,
     /// Delays of the ticks so far.
     pub jitter: Jitter,
@@ -73,11 +74,6 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             mailbox: LearnerMailbox::default(),
             jitter: Jitter::default(),
         })
-    }
-
-    /// The learner.
-    pub fn learner(&self) -> &Learner<A, N, P> {
-        &self.learner
     }
 
     /// Period, s.

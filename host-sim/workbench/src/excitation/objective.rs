@@ -67,6 +67,8 @@ pub(super) struct Objective {
     pub(super) rows: Rows,
     pub(super) experiment: Experiment,
     pub(super) clearances: Clearances,
+    /// Required distance of each pair, m: the limit plus a margin for the motion between the certificate's points.
+    pub(super) required_m: Vec<f64>,
     /// Limits of the joints, as the search keeps them.
     pub(super) limits: Vec<Extremes>,
     /// Torque limits less what friction beyond the columns may add, N·m.
@@ -93,12 +95,18 @@ pub(super) fn basis(bases: &Bases, period_s: f64) -> Vec<[[f64; 3]; VARIABLES]> 
         .collect()
 }
 
-/// Weights and clearances of the penalties.
-#[derive(Clone, Debug)]
-pub(super) struct PenaltyWeights {
+/// Weight of the penalties, and distance on top of what each pair requires, m.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Penalties {
     pub(super) weight: f64,
-    /// Required distance of each pair, m: the limit plus a margin for the time between the instants.
-    pub(super) clearance: Vec<f64>,
+    pub(super) extra_m: f64,
+}
+
+impl Penalties {
+    pub(super) fn of(weight: f64) -> Self {
+        let extra_m = 0.0;
+        Self { weight, extra_m }
+    }
 }
 
 impl Objective {
@@ -118,7 +126,7 @@ impl Objective {
     pub(super) fn value(
         &self,
         variables: &[f64],
-        penalties: &PenaltyWeights,
+        penalties: Penalties,
         gradient: Option<&mut [f64]>,
     ) -> f64 {
         let (width, joints) = (self.rows.count(), self.rows.joints());
@@ -144,7 +152,7 @@ impl Objective {
         for (k, state) in states.iter().enumerate() {
             value += each * self.joint_penalty(state, each, &mut slopes[k]);
             value += each
-                * self.clearance_penalty(state, penalties, &mut distances, |j, slope| {
+                * self.clearance_penalty(state, penalties.extra_m, &mut distances, |j, slope| {
                     slopes[k][j][0] += each * slope;
                 });
             for j in 0..joints {
@@ -223,16 +231,17 @@ impl Objective {
     fn clearance_penalty(
         &self,
         state: &Motion,
-        penalties: &PenaltyWeights,
+        extra_m: f64,
         distances: &mut [f64],
         mut slope: impl FnMut(usize, f64),
     ) -> f64 {
         const STEP_RAD: f64 = 1e-6;
         let mut penalty = |q: &[f64]| -> f64 {
             self.clearances.write(q, distances);
-            let pairs = distances.iter().zip(&penalties.clearance);
-            pairs
-                .map(|(d, required)| ((required - d) / CLEARANCE_SCALE_M).max(0.0).powi(2))
+            let pairs = distances.iter().zip(&self.required_m);
+            let missing = pairs.map(|(d, required)| required + extra_m - d);
+            missing
+                .map(|m| (m / CLEARANCE_SCALE_M).max(0.0).powi(2))
                 .sum()
         };
         let here = penalty(&state.q);
@@ -253,7 +262,7 @@ const MEMORY: usize = 20;
 /// The best point seen in at most `iterations` from `variables` on.
 pub(super) fn descend(
     objective: &Objective,
-    penalties: &PenaltyWeights,
+    penalties: Penalties,
     variables: Vec<f64>,
     iterations: usize,
 ) -> Vec<f64> {
@@ -278,7 +287,7 @@ type Evaluation = (Vec<f64>, f64, Vec<f64>);
 /// The objective in the form of the solver, which requests value and gradient in turn: one evaluation gives both.
 struct Problem<'a> {
     objective: &'a Objective,
-    penalties: &'a PenaltyWeights,
+    penalties: Penalties,
     last: RefCell<Option<Evaluation>>,
     best: RefCell<(f64, Vec<f64>)>,
 }

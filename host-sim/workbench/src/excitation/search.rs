@@ -3,7 +3,7 @@
 use super::certificate::{Certificate, certify};
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
-use super::objective::{INSTANTS, Objective, PenaltyWeights, SearchConfig, basis, descend};
+use super::objective::{INSTANTS, Objective, Penalties, SearchConfig, basis, descend};
 use super::rows::{Frames, Rows};
 use super::series::{Bases, Extremes, JointSeries, VARIABLES};
 use super::{Excitation, refused, unseen};
@@ -112,8 +112,6 @@ struct Search<'a> {
     bases: Bases,
     /// Share of the joints' velocity and acceleration limits that is used.
     speed_share: Vec<f64>,
-    /// Required clearance plus a margin for the motion between the certificate's points, m.
-    clearance: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
@@ -132,15 +130,15 @@ impl<'a> Search<'a> {
         }
         let fastest = PerJoint::from_fn(limits.len(), |j| limits[j].qd);
         let base = clearances.required + 0.001;
-        let clearance = (0..clearances.count())
-            .map(|index| base + clearances.rate(index, &fastest) * HALF_STEP_S)
-            .collect();
+        let required = |index| base + clearances.rate(index, &fastest) * HALF_STEP_S;
+        let required_m = (0..clearances.count()).map(required).collect();
         let experiment = Experiment::new(robot, &rows);
         let parameters = rows.parameters(robot).ok_or_else(unseen)?;
         let bases = Bases::new();
         Ok(Self {
             objective: Objective {
                 experiment,
+                required_m,
                 clearances,
                 limits,
                 torque: torques(robot, TORQUE_SHARES[0]),
@@ -154,7 +152,6 @@ impl<'a> Search<'a> {
             config: config.clone(),
             bases,
             speed_share: vec![1.0; robot.joint_count()],
-            clearance,
         })
     }
 
@@ -174,11 +171,11 @@ impl<'a> Search<'a> {
 
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
     fn starts(&self) -> Vec<Vec<f64>> {
-        let penalties = self.penalties(COARSE_WEIGHTS[0], 0.0);
+        let penalties = Penalties::of(COARSE_WEIGHTS[0]);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
                 let variables = self.variables(&self.random_series(stream as u64));
-                let value = self.objective.value(&variables, &penalties, None);
+                let value = self.objective.value(&variables, penalties, None);
                 (value, variables)
             })
             .collect();
@@ -193,18 +190,15 @@ impl<'a> Search<'a> {
         joints.iter().flat_map(variables).collect()
     }
 
-    fn penalties(&self, weight: f64, extra_clearance: f64) -> PenaltyWeights {
-        PenaltyWeights {
-            weight,
-            clearance: self.clearance.iter().map(|c| c + extra_clearance).collect(),
-        }
-    }
-
     /// Rounds with growing weights of the penalties.
     fn rounds(&self, weights: &[f64], iterations: usize, start: &[f64]) -> Vec<f64> {
         weights.iter().fold(start.to_vec(), |variables, weight| {
-            let penalties = self.penalties(*weight, 0.0);
-            descend(&self.objective, &penalties, variables, iterations)
+            descend(
+                &self.objective,
+                Penalties::of(*weight),
+                variables,
+                iterations,
+            )
         })
     }
 
@@ -212,8 +206,8 @@ impl<'a> Search<'a> {
     fn coarse_search(&self, start: &[f64]) -> (f64, Vec<f64>) {
         let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
         let variables = self.rounds(&COARSE_WEIGHTS, iterations, start);
-        let last = self.penalties(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1], 0.0);
-        (self.objective.value(&variables, &last, None), variables)
+        let last = Penalties::of(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1]);
+        (self.objective.value(&variables, last, None), variables)
     }
 
     /// The final rounds and the certificate; repeated with larger weights while a limit is violated.
@@ -225,11 +219,13 @@ impl<'a> Search<'a> {
             let Some(certificate) = excitation.certificate.as_ref().filter(|c| !c.holds) else {
                 break;
             };
-            let weight = FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32);
-            let penalties = self.penalties(weight, 0.001 * repair as f64);
+            let penalties = Penalties {
+                weight: FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32),
+                extra_m: 0.001 * repair as f64,
+            };
             let objective = objective.get_or_insert_with(|| self.objective.clone());
             tighten(&mut objective.torque, certificate);
-            variables = descend(objective, &penalties, variables, self.config.iterations);
+            variables = descend(objective, penalties, variables, self.config.iterations);
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
@@ -398,17 +394,17 @@ mod tests {
             let start = search.starts().remove(0);
             // Beyond the limits, so that every penalty takes part.
             let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
-            let penalties = search.penalties(10.0, 0.0);
+            let penalties = Penalties::of(10.0);
             let mut gradient = vec![0.0; start.len()];
             let objective = &search.objective;
-            objective.value(&start, &penalties, Some(&mut gradient));
+            objective.value(&start, penalties, Some(&mut gradient));
             let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
             for (v, found) in gradient.iter().enumerate() {
                 let h = 1e-5;
                 let at = |step: f64| {
                     let mut moved = start.clone();
                     moved[v] += step;
-                    objective.value(&moved, &penalties, None)
+                    objective.value(&moved, penalties, None)
                 };
                 let expected = (at(h) - at(-h)) / (2.0 * h);
                 let close = (found - expected).abs() < 1e-4 * size;
@@ -440,10 +436,8 @@ mod tests {
         let message = adapted(&robot).0.expect_err("too weak").to_string();
         for (joint, limit) in robot.joints[1..3].iter().zip(["1", "0.5"]) {
             let limit = format!("its limit is {limit} N·m and leaves 0.");
-            assert!(
-                message.contains(&limit) && message.contains(&joint.name),
-                "{message}"
-            );
+            let named = message.contains(&limit) && message.contains(&joint.name);
+            assert!(named, "{message}");
         }
         let end = " N·m for the motion: correct it with --torque-limits";
         assert!(message.ends_with(end), "{message}");

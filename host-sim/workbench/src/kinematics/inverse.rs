@@ -18,7 +18,8 @@ const STARTS: usize = 48;
 /// Finds joint positions for poses of the tip.
 #[derive(Clone, Debug)]
 pub struct Inverse<const N: usize> {
-    chain: Chain<N>,
+    /// The chain that is inverted.
+    pub chain: Chain<N>,
     closed: Option<UrArm>,
     ranges: [(f64, f64); N],
 }
@@ -32,11 +33,6 @@ impl<const N: usize> Inverse<N> {
             ranges: robot.each(|joint| joint.limits.position)?,
             chain,
         })
-    }
-
-    /// The chain that is inverted.
-    pub fn chain(&self) -> &Chain<N> {
-        &self.chain
     }
 
     /// All joint positions that put the tip at `target`, rad within ±π; of an arm without closed form those that a search
@@ -265,11 +261,11 @@ mod tests {
         let mut eights = 0;
         for case in 0..2000 {
             let q = Joints::<6>::from_fn(|_, _| random.random_range(-3.1..=3.1));
-            let target = inverse.chain().forward(&q);
+            let target = inverse.chain.forward(&q);
             let solutions = inverse.solutions(&target, &q).expect("it is there");
             eights += usize::from(solutions.len() == 8);
             for solution in &solutions {
-                let left = pose_error(&inverse.chain().forward(solution), &target).amax();
+                let left = pose_error(&inverse.chain.forward(solution), &target).amax();
                 assert!(left < 1e-9, "case {case}: {left}");
             }
             let turn = |d: f64| (d + 3.0 * TAU + 0.5 * TAU) % TAU - 0.5 * TAU;
@@ -310,7 +306,7 @@ mod tests {
         for k in 1..=10_000 {
             let (before, now) = (at(k - 1), at(k));
             let predicted = q + (before.qd + now.qd) * 0.5e-3;
-            let target = inverse.chain().forward(&now.q);
+            let target = inverse.chain.forward(&now.q);
             let found = inverse.onwards(&target, &predicted, 0.1);
             q = found.expect("it is there");
             worst = worst.max((q - now.q).amax());
@@ -329,10 +325,10 @@ mod tests {
                 let (low, high) = inverse.ranges[j];
                 random.random_range(0.8 * low..=0.8 * high)
             });
-            let target = inverse.chain().forward(&q);
+            let target = inverse.chain.forward(&q);
             let near = Joints::from_fn(|j, _| 0.5 * (inverse.ranges[j].0 + inverse.ranges[j].1));
             let found = inverse.nearest(&target, &near).expect("it is there");
-            let left = pose_error(&inverse.chain().forward(&found), &target).amax();
+            let left = pose_error(&inverse.chain.forward(&found), &target).amax();
             assert!(left < 1e-9, "case {case}: {left}");
             for (q, (low, high)) in found.iter().zip(inverse.ranges) {
                 assert!((low..=high).contains(q), "case {case}");

@@ -269,6 +269,9 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
     // A fault of a joint from 0 to 2 or of its bus, the joint, and the message of its end. Each is tried on both buses, whose
     // joints are 1 to 3 and 4 to 6.
     const SILENT: &str = "joint J: the drive does not answer";
+    const REPEATS: &str = "joint J: the reply of the drive repeats itself";
+    const OFF: &str = "joint J: the drive has switched itself off";
+    const REPORTS: &str = "joint J: the drive reports fault 0xa";
     let cases: [(FaultOf, usize, &str); 19] = [
         (|j, _| F::LostReplies(j, 0.1), 2, ""),
         (|j, _| F::LostReplies(j, 1.0), 2, SILENT),
@@ -279,25 +282,13 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
         (|j, _| F::LateReplies(j, 6), 0, ""),
         (|j, _| F::DoubledCommands(j), 2, ""),
         (|j, _| F::DoubledReplies(j), 0, ""),
-        (
-            |j, _| F::StuckReply(j),
-            1,
-            "joint J: the reply of the drive repeats itself",
-        ),
+        (|j, _| F::StuckReply(j), 1, REPEATS),
         (|j, _| F::WrongIdentifier(j, j as u8 + 2), 0, "joint "),
         (|j, _| F::WrongIdentifier(j, 9), 0, SILENT),
         (|j, _| F::FlippedBits(j, 0.02), 1, ""),
         (|j, _| F::Dead(j), 1, SILENT),
-        (
-            |j, _| F::Reset(j),
-            2,
-            "joint J: the drive has switched itself off",
-        ),
-        (
-            |j, _| F::DriveFault(j, 0xa),
-            2,
-            "joint J: the drive reports fault 0xa",
-        ),
+        (|j, _| F::Reset(j), 2, OFF),
+        (|j, _| F::DriveFault(j, 0xa), 2, REPORTS),
         (|_, bus| F::BusOff(bus), 0, "the bus is off"),
         (|_, bus| F::Babble(bus, 0), 0, "joint "),
         (|_, bus| F::Overload(bus, 0.3), 0, " "),
@@ -309,13 +300,8 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
             let joint = joint + 3 * bus;
             let fault = fault(joint, bus);
             let (end, observed, player) = campaign(Some((fault, for_s)), right);
-            let wrong = observed.wrong;
-            let count = wrong.len();
-            let first = wrong.first();
-            assert!(
-                first.is_none(),
-                "{fault:?}: {count} wrong torques, {first:?}"
-            );
+            let (count, first) = (observed.wrong.len(), observed.wrong.first());
+            assert_eq!(first, None, "{fault:?}: {count} wrong torques");
             println!("{fault:?} for {for_s} s: {end:?}");
             if message.is_empty() {
                 assert_eq!(end, Ok(()), "{fault:?}");
@@ -324,10 +310,8 @@ fn no_fault_of_bus_or_drives_makes_a_wrong_torque() {
             let number = (joint + 1).to_string();
             let expected = format!("torque off: {}", message.trim().replace('J', &number));
             let error = end.expect_err("an end");
-            assert!(
-                error.starts_with(&expected),
-                "{fault:?}: {error}, expected {expected}"
-            );
+            let named = error.starts_with(&expected);
+            assert!(named, "{fault:?}: {error}, expected {expected}");
             let phase = player.controller.drives().phase();
             assert!(!matches!(phase, BusPhase::Running(_)), "{fault:?}");
         }

@@ -96,7 +96,7 @@ fn a_payload_is_weighed_within_a_tenth_and_let_go() {
             path_begins_s = plant_s - t_s;
             let next = held.get(weighed.len());
             if next.is_some_and(|(_, to_s)| plant_s >= to_s - 1.0) {
-                let quality = player.learner().state().report.quality;
+                let quality = player.learner.state().report.quality;
                 weighed.push(f64::from(quality.payload.mass));
             }
         });
@@ -105,7 +105,7 @@ fn a_payload_is_weighed_within_a_tenth_and_let_go() {
         for found in weighed {
             assert!((found / mass - 1.0).abs() <= 0.1, "{found} kg of {mass} kg");
         }
-        let left = player.learner().state().report.quality.payload.mass;
+        let left = player.learner.state().report.quality.payload.mass;
         assert!(left == 0.0, "{left} kg are left");
     }
 }

@@ -166,10 +166,8 @@ fn a_board_in_line_adds_its_torque_to_commands_alone() {
     let emulated = pass(Emulated::start("in-line", Some(&wiring)), &wiring);
     for (period, ((_, one), (_, other))) in twin.iter().zip(&emulated).enumerate() {
         for port in 0..2 {
-            assert!(
-                of_port(one, port) == of_port(other, port),
-                "period {period}"
-            );
+            let same = of_port(one, port) == of_port(other, port);
+            assert!(same, "period {period}");
         }
     }
 }
@@ -244,10 +242,11 @@ impl Fault {
                 };
                 let mut frames = Frames::new();
                 drives[by].reply(&reply, &mut frames);
-                let replies = came
-                    .iter_mut()
-                    .filter(|(port, frame)| *port == 1 && drives[2].decode(frame).is_some());
-                replies.for_each(|(_, frame)| *frame = frames[0]);
+                for (port, frame) in came {
+                    if *port == 1 && drives[2].decode(frame).is_some() {
+                        *frame = frames[0];
+                    }
+                }
             }
             Self::Babble => {
                 came.retain(|(port, _)| *port == 0);
@@ -260,10 +259,11 @@ impl Fault {
                 };
                 let mut frames = Frames::new();
                 let _ = drives[1].command(&jump, &mut Carry::default(), &mut frames);
-                let commands = came.iter_mut().filter(|(port, _)| *port == 0);
-                commands
-                    .filter(|(_, frame)| command(&drives[1], frame).is_some())
-                    .for_each(|(_, frame)| *frame = frames[0]);
+                for (port, frame) in came {
+                    if *port == 0 && command(&drives[1], frame).is_some() {
+                        *frame = frames[0];
+                    }
+                }
             }
             _ => {}
         }
@@ -291,7 +291,7 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
         Fault::Babble,
     ] {
         let rounds = Rc::new(RefCell::new(Rounds::new()));
-        let drives = drives(&wiring);
+        let of_wiring = drives(&wiring);
         let mut client = on_line(
             Twin::new(&wiring),
             &wiring,
@@ -300,7 +300,7 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
                 board.now += 1;
                 let begun = period >= FAULT[0];
                 if begun {
-                    fault.disturb(&drives, period, came);
+                    fault.disturb(&of_wiring, period, came);
                 }
                 !begun || fault != Fault::Hung
             },
@@ -321,22 +321,19 @@ fn every_fault_in_line_leaves_a_board_that_passes_frames() {
         }
         let (mut changed, mut last) = (0, 0);
         for (period, port, came, left) in passed(&rounds.borrow()) {
-            if came != left {
-                let mut drives = wiring.joints.iter().flatten().map(|joint| joint.drive);
-                let of_drive = drives.any(|drive| {
-                    command(&drive, &came).is_some() && command(&drive, &left).is_some()
-                });
-                let sound = port == 0 && of_drive;
-                assert!(sound, "{fault:?}, period {period}: {came:?} {left:?}");
-                (changed, last) = (changed + 1, period);
+            if came == left {
+                continue;
             }
+            let of_drive = drives(&wiring)
+                .iter()
+                .any(|drive| command(drive, &came).is_some() && command(drive, &left).is_some());
+            let sound = port == 0 && of_drive;
+            assert!(sound, "{fault:?}, period {period}: {came:?} {left:?}");
+            (changed, last) = (changed + 1, period);
         }
         println!("{fault:?}: {changed} commands with torque, the last in period {last}");
-        assert_eq!(
-            changed > 100,
-            fault != Fault::NotArmed,
-            "{fault:?}: {changed}"
-        );
+        let armed = fault != Fault::NotArmed;
+        assert_eq!(changed > 100, armed, "{fault:?}: {changed}");
         assert!(last < FAULT[1], "{fault:?}: torque in period {last}");
     }
 }
@@ -387,10 +384,8 @@ fn the_client_of_moteus_drives_its_motor_through_the_board() {
     let (mut taken, mut buffer) = (0, [0; 512]);
     host.stream.set_nonblocking(true).expect("it can");
     while client.try_wait().expect("it is ours").is_none() {
-        assert!(
-            std::time::Instant::now() < deadline,
-            "{taken} commands came"
-        );
+        let in_time = std::time::Instant::now() < deadline;
+        assert!(in_time, "{taken} commands came");
         if let Ok(count) = near.read(&mut buffer) {
             host.stream.set_nonblocking(false).expect("it can");
             host.stream.write_all(&buffer[..count]).expect("it listens");
@@ -428,21 +423,13 @@ fn the_client_of_moteus_drives_its_motor_through_the_board() {
     let mut text = String::new();
     let mut output = client.stdout.take().expect("it is piped");
     output.read_to_string(&mut text).expect("it is text");
-    let rows: Vec<Vec<f64>> = text
-        .lines()
-        .map(|line| {
-            line.split(' ')
-                .map(|word| word.parse().expect(line))
-                .collect()
-        })
-        .collect();
-    assert_eq!((rows.len(), taken), (20, 20), "{text}");
-    for row in rows {
+    assert_eq!((text.lines().count(), taken), (20, 20), "{text}");
+    for line in text.lines() {
+        let words = line.split(' ').map(|word| word.parse::<f64>());
+        let row: Vec<f64> = words.collect::<Result<_, _>>().expect(line);
         assert_eq!((row[0], row[1]), (10.0, 0.5));
-        assert!(
-            (row[2] - 0.25).abs() < 1e-6,
-            "not armed: the torque of the client alone"
-        );
+        // Not armed: the torque of the client alone.
+        assert!((row[2] - 0.25).abs() < 1e-6, "{line}");
     }
     drop(far);
 }

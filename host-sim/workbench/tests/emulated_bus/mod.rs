@@ -119,7 +119,7 @@ impl FrameBoard for Twin {
 
     fn take(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.board.send(bytes)?;
-        let (session, drives) = self.board.parts();
+        let (session, drives) = (&mut self.board.session, &mut self.board.sensor);
         if !drives.ticked() {
             if !session.torque_enabled() {
                 drives.damp();
@@ -139,8 +139,7 @@ impl FrameBoard for Twin {
 
     fn deliver(&mut self, frames: &[(u8, Frame)]) {
         for &(port, mut frame) in frames {
-            let (_, drives) = self.board.parts();
-            drives.receive(port, &frame);
+            self.board.sensor.receive(port, &frame);
             if let Some(in_line) = &mut self.in_line {
                 if port == 0 {
                     in_line.to_drives(&mut frame, self.now);

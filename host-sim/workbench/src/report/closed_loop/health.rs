@@ -126,8 +126,8 @@ impl<const N: usize> Health<N> {
                 self.learnt.adopted_s = Some(record.t_s);
             }
             let second = record.t_s.max(0.0) as usize;
-            self.changes
-                .resize(self.changes.len().max(second + 1), (0.0, 0));
+            let seconds = self.changes.len().max(second + 1);
+            self.changes.resize(seconds, (0.0, 0));
             let sum = &mut self.changes[second];
             *sum = (sum.0 + change.norm_squared() / N as f64, sum.1 + 1);
         }
@@ -144,12 +144,8 @@ impl<const N: usize> Health<N> {
         let Some(j) = worst.filter(|j| past(j) > 0.0) else {
             return String::new();
         };
-        let (low, high) = self.ranges[j];
-        format!(
-            ": joint {} at {:.3} rad, range {low:.3} to {high:.3}",
-            j + 1,
-            q[j]
-        )
+        let ((low, high), joint, q) = (self.ranges[j], j + 1, q[j]);
+        format!(": joint {joint} at {q:.3} rad, range {low:.3} to {high:.3}")
     }
 
     /// Takes telemetry frames with trust and decisions, `every_s` apart.
@@ -319,19 +315,14 @@ mod tests {
         let latched = run(90, 6.5, 10.0, 80);
         let trouble = &latched.troubles()[0];
         let place = "board latched at 2.00 s (measured position out of range: joint 2 at 6.500";
-        assert!(
-            trouble.starts_with(place) && trouble.ends_with("80 % of the run"),
-            "{trouble}"
-        );
+        let named = trouble.starts_with(place) && trouble.ends_with("80 % of the run");
+        assert!(named, "{trouble}");
         // The feed-forward grows by 0.01 N·m a tick: the wrists pass 0.5 % of 28 N·m at 1.4 s, seen one tick later.
         let learnt = latched.learnt();
         let adopted_s = learnt.adopted_s.expect("it grows");
         assert!((adopted_s - 1.6).abs() < 0.11, "{adopted_s}");
-        let line = learnt.line();
-        assert!(
-            line.starts_with("learning: torque changed from 1."),
-            "{line}"
-        );
+        let (line, begin) = (learnt.line(), "learning: torque changed from 1.");
+        assert!(line.starts_with(begin), "{line}");
     }
 
     #[test]
@@ -341,10 +332,7 @@ mod tests {
         for (count, code) in [(0, 0), (0, 0), (1, 25), (1, 25), (2, 24), (2, 24), (2, 24)] {
             health.decision(count, code, f64::from(count), 0.5);
         }
-        let line = health.learnt().line();
-        assert_eq!(
-            line,
-            "learning: nothing adopted; no decision for 1.0 s; following begins at 1.0 s; torques reversed at 2.0 s"
-        );
+        let line = "learning: nothing adopted; no decision for 1.0 s; following begins at 1.0 s; torques reversed at 2.0 s";
+        assert_eq!(health.learnt().line(), line);
     }
 }

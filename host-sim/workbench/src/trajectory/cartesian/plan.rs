@@ -74,7 +74,7 @@ fn at<const N: usize>(
     predicted: &Joints<N>,
 ) -> Result<State<N>, Refusal> {
     let q = inverse.onwards(&point.pose, predicted, JUMP_RAD)?;
-    let motion = inverse.chain().joint_motion(&q, &point.twist, &point.rate);
+    let motion = inverse.chain.joint_motion(&q, &point.twist, &point.rate);
     let (qd, qdd) = motion.ok_or_else(|| inverse.singular(&q))?;
     Ok(State { q, qd, qdd })
 }
