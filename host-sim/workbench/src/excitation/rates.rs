@@ -2,7 +2,7 @@
 
 use super::rows::{LinkMotion, Rows};
 use crate::dynamics::{Motion, PerJoint};
-use crate::robot::{Coupling, Joint, Robot};
+use crate::robot::{Coupling, Joint, LINK_PARAMETERS, Robot};
 use nalgebra::{Matrix3, Vector3};
 
 /// Sizes of an arm that no pose exceeds.
@@ -135,13 +135,6 @@ impl LinkSlopes {
     }
 }
 
-/// Weights of the ten columns of a link in one row: those of mass, first moments and inertia.
-struct Weights {
-    mass: f64,
-    moment: Vector3<f64>,
-    inertia: Matrix3<f64>,
-}
-
 impl Rows {
     /// Adds the derivatives of `Σ pull · rows` by q, qd, qdd of every joint to `slopes`.
     ///
@@ -168,8 +161,11 @@ impl Rows {
         let mut by = vec![LinkSlopes::default(); links.len()];
         for k in 0..links.len() {
             for j in 0..=k {
-                let weights = self.weights(k, &of_joints[j * width..(j + 1) * width]);
-                add_torque(&links, [j, k], &weights, &mut by);
+                let mut weights = [0.0; LINK_PARAMETERS];
+                for column in self.columns_of(k) {
+                    weights[self.link_columns[column].1] = of_joints[j * width + column];
+                }
+                add_torque(&links, [j, k], weights, &mut by);
             }
         }
         let mut by_joint = [PerJoint::repeat(links.len(), 0.0); 3];
@@ -215,44 +211,28 @@ impl Rows {
             slopes[1] += own[0] + own[1] * (1.0 - sign * sign) / sign_width;
         }
     }
-
-    fn weights(&self, link: usize, pull: &[f64]) -> Weights {
-        let mut all = [0.0; 10];
-        for column in self.columns_of(link) {
-            all[self.link_columns[column].1] = pull[column];
-        }
-        let [mass, x, y, z, xx, yy, zz, xy, xz, yz] = all;
-        Weights {
-            mass,
-            moment: Vector3::new(x, y, z),
-            inertia: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
-        }
-    }
 }
 
-/// Adds the slopes of the torque at joint j that link k causes.
+/// Adds the slopes of the torque at joint j that link k causes, with these weights of its columns in the row.
 fn add_torque(
     links: &[LinkMotion],
     [j, k]: [usize; 2],
-    weights: &Weights,
+    [mass, x, y, z, xx, yy, zz, xy, xz, yz]: [f64; LINK_PARAMETERS],
     slopes: &mut [LinkSlopes],
 ) {
-    let Weights {
-        mass,
-        moment: c,
-        inertia,
-    } = weights;
+    let c = &Vector3::new(x, y, z);
+    let inertia = &Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
     let link = &links[k];
     let LinkMotion { a, w, al, .. } = link;
     let to_frame = link.rot_frame.transpose();
     let r_base = link.origin + link.lever - links[j].origin;
     let (z, r) = (to_frame * links[j].axis, to_frame * r_base);
-    let h = a * *mass + al.cross(c) + w.cross(&w.cross(c));
+    let h = a * mass + al.cross(c) + w.cross(&w.cross(c));
     let (p, iw) = (z.cross(&r), inertia * w);
     let n = c.cross(a) + inertia * al + w.cross(&iw);
     let by_z = r.cross(&h) + n;
     let by_r = h.cross(&z);
-    let by_a = p * *mass + z.cross(c);
+    let by_a = p * mass + z.cross(c);
     let by_al = c.cross(&p) + inertia * z;
     let by_w = w.cross(c).cross(&p) + c.cross(&p.cross(w)) + iw.cross(&z) + inertia * z.cross(w);
     // What is expressed in the frame, turned back into the base.

@@ -84,38 +84,19 @@ impl<R: Read> Read for BoundedLines<R> {
     }
 }
 
-/// Beginning of a table.
-struct Beginning {
-    /// Lines that begin with `#` or are empty.
-    comments: Vec<String>,
-    /// The line behind these.
-    first: String,
-    /// Bytes before that line.
-    length: usize,
-}
-
-impl Beginning {
-    fn of(bytes: &[u8]) -> Self {
-        let (mut comments, mut length) = (Vec::new(), 0);
-        for line in bytes.split_inclusive(|byte| *byte == b'\n') {
-            let text = String::from_utf8_lossy(line);
-            let text = text.trim_start_matches('\u{feff}').trim().to_owned();
-            if !text.is_empty() && !text.starts_with('#') {
-                return Self {
-                    comments,
-                    first: text,
-                    length,
-                };
-            }
-            comments.push(text);
-            length += line.len();
+/// Lines before a table that begin with `#` or are empty, the line behind these, and the bytes before that line.
+fn beginning(bytes: &[u8]) -> (Vec<String>, String, usize) {
+    let (mut comments, mut length) = (Vec::new(), 0);
+    for line in bytes.split_inclusive(|byte| *byte == b'\n') {
+        let text = String::from_utf8_lossy(line);
+        let text = text.trim_start_matches('\u{feff}').trim().to_owned();
+        if !text.is_empty() && !text.starts_with('#') {
+            return (comments, text, length);
         }
-        Self {
-            comments,
-            first: String::new(),
-            length,
-        }
+        comments.push(text);
+        length += line.len();
     }
+    (comments, String::new(), length)
 }
 
 /// Separators of a CSV file in the order in which they are looked for: a comma may be a decimal one.
@@ -156,11 +137,7 @@ impl Rows {
         let bytes = BoundedLines { bytes, length: 0 };
         let mut bytes: Box<dyn BufRead + Send> = Box::new(BufReader::with_capacity(1 << 18, bytes));
         let start = bytes.fill_buf().map_err(|error| at(path, error))?;
-        let Beginning {
-            comments,
-            first,
-            length,
-        } = Beginning::of(start);
+        let (comments, first, length) = beginning(start);
         bytes.consume(length);
         let is_there = |separator: &u8| first.as_bytes().contains(separator);
         let separator = SEPARATORS.into_iter().find(is_there).unwrap_or(b',');
@@ -173,13 +150,9 @@ impl Rows {
         let is_number = |field: &String| number(field.as_bytes(), separator).is_some();
         let numbers = !fields.is_empty() && fields.iter().all(is_number);
         // The comment that names as many columns as there are numbers is the header.
-        let lines = comments
-            .iter()
-            .map(|line| split(line.trim_start_matches('#')));
-        let mut lines = lines
-            .enumerate()
-            .filter(|(_, names)| numbers && names.len() == fields.len());
-        let commented = lines.next_back();
+        let named = |line: &String| split(line.trim_start_matches('#'));
+        let mut lines = comments.iter().map(named).enumerate();
+        let commented = lines.rfind(|(_, names)| numbers && names.len() == fields.len());
         let header_line = match &commented {
             Some((place, _)) => *place as u64 + 1,
             None => comments.len() as u64 + 1,
@@ -204,9 +177,8 @@ impl Rows {
             names.to_vec()
         } else {
             let found = reader.headers().map_err(|error| unreadable(path, &error))?;
-            let found = found
-                .iter()
-                .map(|name| name.trim_start_matches(['#', '%', ' ']));
+            let found = found.iter();
+            let found = found.map(|name| name.trim_start_matches(['#', '%', ' ']));
             let found = found.filter(|name| separator != b' ' || !name.is_empty());
             found.map(str::to_owned).collect()
         };
@@ -254,12 +226,9 @@ impl Rows {
 
     /// Refuses the column of a joint that a robot of `joints` joints does not have.
     pub(crate) fn refuse(&self, column: &str, joints: usize) -> Result<(), TableError> {
-        match self.find(column)? {
-            Some(_) => Err(self.header_error(format!(
-                "column {column} is one too many: the robot has {joints} joints"
-            ))),
-            None => Ok(()),
-        }
+        let many = format!("column {column} is one too many: the robot has {joints} joints");
+        let found = self.find(column)?;
+        found.map_or(Ok(()), |_| Err(self.header_error(many)))
     }
 
     /// The problem in the header.
@@ -314,11 +283,10 @@ impl Rows {
                 record.len()
             }
         };
-        if fields != self.header.len() {
-            let width = self.header.len();
-            return Err(self.row_error(format!(
-                "{fields} fields where the header has {width}: delete such rows"
-            )));
+        let width = self.header.len();
+        if fields != width {
+            let problem = format!("{fields} fields where the header has {width}");
+            return Err(self.row_error(problem + ": delete such rows"));
         }
         Ok(true)
     }

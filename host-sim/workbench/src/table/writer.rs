@@ -17,28 +17,24 @@ use std::path::Path;
 
 /// Writes a table that is whole or absent: CSV, MCAP where the name ends in `.mcap`, or both.
 pub struct TableWriter {
-    csv: Option<Box<csv::Writer<Sink>>>,
+    csv: Option<csv::Writer<Box<dyn Sink>>>,
     mcap: Option<Box<McapTable>>,
 }
 
-enum Sink {
-    Plain(WholeFile),
-    Compressed(GzEncoder<WholeFile>),
+/// Bytes on their way to a file that is whole or absent.
+trait Sink: Write {
+    fn finish(self: Box<Self>) -> io::Result<()>;
 }
 
-impl Write for Sink {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match self {
-            Self::Plain(file) => file.write(bytes),
-            Self::Compressed(encoder) => encoder.write(bytes),
-        }
+impl Sink for WholeFile {
+    fn finish(self: Box<Self>) -> io::Result<()> {
+        Self::finish(*self)
     }
+}
 
-    fn flush(&mut self) -> io::Result<()> {
-        match self {
-            Self::Plain(file) => file.flush(),
-            Self::Compressed(encoder) => encoder.flush(),
-        }
+impl Sink for GzEncoder<WholeFile> {
+    fn finish(self: Box<Self>) -> io::Result<()> {
+        Self::finish(*self)?.finish()
     }
 }
 
@@ -52,15 +48,14 @@ impl TableWriter {
             return Ok(Self { csv: None, mcap });
         }
         let file = WholeFile::create(path)?;
-        let sink = if is_compressed(path) {
-            Sink::Compressed(GzEncoder::new(file, Compression::default()))
-        } else {
-            Sink::Plain(file)
+        let sink: Box<dyn Sink> = match is_compressed(path) {
+            true => Box::new(GzEncoder::new(file, Compression::default())),
+            false => Box::new(file),
         };
         let mut writer = csv::Writer::from_writer(sink);
         writer.write_record(header)?;
-        let csv = Some(Box::new(writer));
-        Ok(Self { csv, mcap: None })
+        let (csv, mcap) = (Some(writer), None);
+        Ok(Self { csv, mcap })
     }
 
     /// Starts a table as CSV, and as MCAP beside it; as MCAP alone where the name ends in `.mcap`.
@@ -102,13 +97,9 @@ impl TableWriter {
         let Some(csv) = self.csv else {
             return Ok(());
         };
-        let sink = csv
-            .into_inner()
-            .map_err(|error| io::Error::other(error.to_string()))?;
-        match sink {
-            Sink::Plain(file) => file.finish(),
-            Sink::Compressed(encoder) => encoder.finish()?.finish(),
-        }
+        let sink = csv.into_inner();
+        let sink = sink.map_err(|error| io::Error::other(error.to_string()))?;
+        sink.finish()
     }
 }
 
@@ -163,12 +154,10 @@ fn failed(error: mcap::McapError) -> io::Error {
 
 impl McapTable {
     fn create(path: &Path, header: &[String]) -> io::Result<Self> {
-        let mut writer = WriteOptions::new()
-            .library("foretorque")
-            .chunk_size(Some(CHUNK))
-            .disable_seeking(true)
-            .create(NoSeek::new(WholeFile::create(path)?))
-            .map_err(failed)?;
+        let options = WriteOptions::new().library("foretorque");
+        let options = options.chunk_size(Some(CHUNK)).disable_seeking(true);
+        let writer = options.create(NoSeek::new(WholeFile::create(path)?));
+        let mut writer = writer.map_err(failed)?;
         let mut topics: BTreeMap<&str, Vec<(usize, String)>> = BTreeMap::new();
         for (place, name) in header.iter().enumerate().filter(|(_, name)| *name != "t_s") {
             let columns = topics.entry(topic_of(name)).or_default();
@@ -179,10 +168,8 @@ impl McapTable {
             let number =
                 |(_, name): &(usize, String)| format!("\"{name}\":{{\"type\":\"number\"}}");
             let properties: Vec<String> = columns.iter().map(number).collect();
-            let schema = format!(
-                "{{\"type\":\"object\",\"properties\":{{{}}}}}",
-                properties.join(",")
-            );
+            let properties = properties.join(",");
+            let schema = format!("{{\"type\":\"object\",\"properties\":{{{properties}}}}}");
             let name = format!("foretorque{}", topic.replace('/', "."));
             let schema = writer.add_schema(&name, "jsonschema", schema.as_bytes());
             let schema = schema.map_err(failed)?;
@@ -221,9 +208,10 @@ impl McapTable {
                 log_time,
                 publish_time: log_time,
             };
-            self.writer
-                .write_to_known_channel(&header, message.as_bytes())
-                .map_err(failed)?;
+            let written = self
+                .writer
+                .write_to_known_channel(&header, message.as_bytes());
+            written.map_err(failed)?;
         }
         self.rows += 1;
         Ok(())
@@ -283,9 +271,8 @@ mod tests {
         const ROWS: u32 = 6000;
         for row in 0..ROWS {
             let values = [f64::from(row) * 1e-3, value(row), f64::from(row % 7)];
-            table
-                .row(&values.map(|value| value.to_string()))
-                .expect("writes");
+            let row = values.map(|value| value.to_string());
+            table.row(&row).expect("writes");
         }
         table.finish().expect("finishes");
         let bytes = fs::read(&path).expect("reads");
@@ -302,8 +289,9 @@ mod tests {
             lengths.insert(rows.len());
         }
         // Chunks of 64 KiB: there are several, and the last cut has all but the last of them.
+        assert!(lengths.len() > 3, "{lengths:?}");
         assert!(
-            lengths.len() > 3 && *lengths.last().expect("some") > ROWS as usize / 2,
+            *lengths.last().expect("some") > ROWS as usize / 2,
             "{lengths:?}"
         );
     }

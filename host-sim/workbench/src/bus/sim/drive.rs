@@ -141,11 +141,10 @@ impl SimulatedDrive {
                     };
                 }
             }
-            Request::Order(Order::Disable) => {
-                if !matches!(self.state, DriveState::Fault(_)) {
-                    self.state = DriveState::Disabled;
-                }
-            }
+            Request::Order(Order::Disable) => match self.state {
+                DriveState::Fault(_) => {}
+                _ => self.state = DriveState::Disabled,
+            },
             Request::Order(Order::ClearFault) => self.state = switched_off(&self.truth.profile),
             Request::Order(Order::ReadScale(scale)) => {
                 if let Some(value) = scale_of(&self.truth.profile, scale) {
@@ -256,37 +255,6 @@ impl TimedFault {
         let (fault, time_s) = self.fault.as_ref()?;
         let begins = (time_s.start..time_s.start + step_s).contains(&now_s);
         begins.then_some(*fault)
-    }
-
-    pub(super) fn babble(&self, bus: usize, now_s: f64) -> Option<Frame> {
-        match self.active(now_s) {
-            Some(LineFault::Babble(on, id)) if on == bus => Some(Frame::standard(id, &[0; 8])),
-            _ => None,
-        }
-    }
-
-    /// Share of the bit rate that is left.
-    pub(super) fn speed(&self, bus: usize, now_s: f64) -> f64 {
-        match self.active(now_s) {
-            Some(LineFault::Overload(on, share)) if on == bus => share,
-            _ => 1.0,
-        }
-    }
-
-    /// Number of times that a command reaches the drive of `joint`.
-    pub(super) fn command_copies(
-        &self,
-        joint: usize,
-        now_s: f64,
-        random: &mut ChaCha8Rng,
-    ) -> usize {
-        match self.active(now_s) {
-            Some(LineFault::LostCommands(of, share)) if of == joint => {
-                usize::from(!random.random_bool(share))
-            }
-            Some(LineFault::DoubledCommands(of)) if of == joint => 2,
-            _ => 1,
-        }
     }
 
     /// Frames that arrive at the host in the place of `frame`.

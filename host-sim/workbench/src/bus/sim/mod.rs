@@ -14,7 +14,7 @@ use crate::plant::{Events, Payload, Plant, PlantConfig};
 use drive::DRIVE_PERIOD_S;
 use foretorque_link::bus::BusConfig;
 use foretorque_link::drives::{DriveState, Frame};
-use rand::SeedableRng;
+use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -150,13 +150,14 @@ impl<const N: usize> SimulatedNetwork<N> {
 
     /// Carries the frames of a bus whose time has come.
     fn carry(&mut self, bus: usize) {
-        let now_s = self.t_s();
-        let rates = BitRates {
-            nominal: self.rates.nominal * self.fault.speed(bus, now_s),
-            ..self.rates
-        };
-        if let Some(frame) = self.fault.babble(bus, now_s) {
-            self.lines[bus].waiting.push_front((now_s, None, frame));
+        let (now_s, mut rates) = (self.t_s(), self.rates);
+        match self.fault.active(now_s) {
+            Some(LineFault::Babble(on, id)) if on == bus => {
+                let frame = Frame::standard(id, &[0; 8]);
+                self.lines[bus].waiting.push_front((now_s, None, frame));
+            }
+            Some(LineFault::Overload(on, share)) if on == bus => rates.nominal *= share,
+            _ => {}
         }
         while let Some(&(since_s, sender, frame)) = self.lines[bus].waiting.front() {
             let end_s = self.lines[bus].free_s.max(since_s) + frame_time_s(&frame, &rates);
@@ -177,12 +178,19 @@ impl<const N: usize> SimulatedNetwork<N> {
             return;
         }
         let (q, now_s) = (*self.plant.q(), self.t_s());
+        let fault = self.fault.active(now_s);
         for j in 0..N {
-            let is_dead = self.fault.active(now_s) == Some(LineFault::Dead(j));
-            if usize::from(self.drives[j].truth.bus) != bus || is_dead {
+            if usize::from(self.drives[j].truth.bus) != bus {
                 continue;
             }
-            let copies = self.fault.command_copies(j, now_s, &mut self.random);
+            let copies = match fault {
+                Some(LineFault::Dead(of)) if of == j => 0,
+                Some(LineFault::LostCommands(of, share)) if of == j => {
+                    usize::from(!self.random.random_bool(share))
+                }
+                Some(LineFault::DoubledCommands(of)) if of == j => 2,
+                _ => 1,
+            };
             for _ in 0..copies {
                 let answer = self.drives[j].take(frame, q[j], &mut self.random);
                 for reply in answer.into_iter().rev() {
