@@ -32,29 +32,23 @@ pub fn aligned<R: IntoIterator<Item = String>>(
     header: &str,
     rows: impl IntoIterator<Item = R>,
 ) -> String {
-    let rows: Vec<Vec<String>> = rows
-        .into_iter()
-        .map(|row| row.into_iter().collect())
-        .collect();
+    let rows = rows.into_iter().map(|row| row.into_iter().collect());
+    let rows: Vec<Vec<String>> = rows.collect();
     let header: Vec<String> = header.split(" | ").map(str::to_owned).collect();
     let column = |k: usize| rows.iter().filter_map(move |row| row.get(k));
     let is_number = |text: &String| text == "never" || text.parse::<f64>().is_ok();
-    let widths: Vec<(usize, bool)> = (0..header.len())
-        .map(|k| {
-            let widths = column(k)
-                .chain([&header[k]])
-                .map(|cell| cell.chars().count());
-            (widths.max().unwrap_or(0), column(k).all(is_number))
-        })
-        .collect();
+    let width = |k: usize| {
+        let cells = column(k).chain([&header[k]]);
+        let width = cells.map(|cell| cell.chars().count()).max();
+        (width.unwrap_or(0), column(k).all(is_number))
+    };
+    let widths: Vec<(usize, bool)> = (0..header.len()).map(width).collect();
     let line = |row: &Vec<String>| {
-        let cells = row
-            .iter()
-            .zip(&widths)
-            .map(|(cell, &(width, right))| match right {
-                true => format!("{cell:>width$}"),
-                false => format!("{cell:<width$}"),
-            });
+        let cells = row.iter().zip(&widths);
+        let cells = cells.map(|(cell, &(width, right))| match right {
+            true => format!("{cell:>width$}"),
+            false => format!("{cell:<width$}"),
+        });
         cells.collect::<Vec<_>>().join("  ").trim_end().to_owned() + "\n"
     };
     std::iter::once(&header).chain(&rows).map(line).collect()

@@ -24,19 +24,24 @@ pub struct RigidBodies {
     coupling: Option<Coupling>,
 }
 
-/// World-frame kinematics of one link. `rot` maps its coordinates into the world, `axis` is the axis of its joint, `origin` a
-/// point on it; the acceleration of the origin carries −g.
-#[derive(Clone, Copy, Default)]
-struct LinkMotion {
-    rot: Matrix3<f64>,
-    axis: Vector3<f64>,
-    origin: Vector3<f64>,
-    omega: Vector3<f64>,
-    alpha: Vector3<f64>,
-    acceleration: Vector3<f64>,
+/// Kinematics of one link in the base frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LinkMotion {
+    /// Rotation that maps the coordinates of the link into the base frame.
+    pub rot: Matrix3<f64>,
+    /// Axis of the joint.
+    pub axis: Vector3<f64>,
+    /// Origin of the joint frame, on that axis, m.
+    pub origin: Vector3<f64>,
+    /// Angular velocity, rad/s.
+    pub omega: Vector3<f64>,
+    /// Angular acceleration, rad/s².
+    pub alpha: Vector3<f64>,
+    /// Acceleration of the origin less gravity, m/s².
+    pub acceleration: Vector3<f64>,
 }
 
-/// That of all links.
+/// Those of all links.
 type Kinematics = [LinkMotion; MAX_JOINTS];
 
 impl RigidBodies {
@@ -207,7 +212,8 @@ impl RigidBodies {
         }
     }
 
-    fn kinematics(&self, motion: &Motion) -> Kinematics {
+    /// Kinematics of every link, from the base on, under a motion of the drives.
+    pub fn kinematics(&self, motion: &Motion) -> [LinkMotion; MAX_JOINTS] {
         let mut motion = *motion;
         if let Some(coupling) = &self.coupling {
             coupling.to_joints(&mut motion.q);

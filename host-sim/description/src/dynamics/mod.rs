@@ -8,7 +8,7 @@ mod base_parameters;
 mod kane;
 
 pub use base_parameters::{BaseMap, BaseMapTerm, STATES, independent_columns};
-pub use kane::{Motion, PerJoint, RigidBodies, random_motions};
+pub use kane::{LinkMotion, Motion, PerJoint, RigidBodies, random_motions};
 
 use crate::robot::{LINK_PARAMETERS, Link, Robot};
 use nalgebra::{DMatrix, SMatrix, SVector};

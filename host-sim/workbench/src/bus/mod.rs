@@ -44,9 +44,7 @@ pub trait Network {
     fn wait(&mut self) -> Duration;
 
     /// A controller has left its bus because of too many errors.
-    fn is_off(&self) -> bool {
-        false
-    }
+    fn is_off(&self) -> bool;
 
     /// Asks somebody who stands beside the arm to move it; returns when it is done.
     ///

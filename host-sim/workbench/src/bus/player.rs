@@ -125,12 +125,9 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         let mut refusal = None;
         for _ in 0..listening {
             self.rest_tick()?;
-            match self.controller.arm() {
-                Ok(()) => {
-                    refusal = None;
-                    break;
-                }
-                Err(fault) => refusal = Some(fault),
+            refusal = self.controller.arm().err();
+            if refusal.is_none() {
+                break;
             }
         }
         if let Some(fault) = refusal {

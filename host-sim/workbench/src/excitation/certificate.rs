@@ -159,9 +159,8 @@ pub(super) fn certify(
 ) -> Result<Certificate, Refusal> {
     let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
     let step = excitation.period_s / points as f64;
-    let states: Vec<Motion> = (0..points)
-        .map(|k| excitation.motion(k as f64 * step))
-        .collect();
+    let states = (0..points).map(|k| excitation.motion(k as f64 * step));
+    let states: Vec<Motion> = states.collect();
     let mut limits = joint_limits(robot, excitation, points, config.range_rad)?;
     limits.extend(torque_limits(robot, excitation, step, points));
     limits.extend(clearance_limits(excitation, objective, &states, step));
@@ -173,6 +172,7 @@ pub(super) fn certify(
     let figures = experiment.figures(&objective.rows, &sparse);
     let (condition_dh, worth, errors) = figures.ok_or_else(unseen)?;
     let of_limits = errors.iter().zip(&robot.joints);
+    let of_limits = of_limits.map(|(error, joint)| error / joint.limits.torque);
     let condition_board = condition_number(&board, &sparse);
     let frames = match robot.joints.iter().all(|joint| joint.dh_frame.is_some()) {
         true => "standard DH frames",
@@ -196,9 +196,7 @@ pub(super) fn certify(
         condition_number_board: condition_board,
         condition_number_note: CONDITION_NOTE,
         predicted_nrmse_percent: 100.0 * worth.ln_error.exp(),
-        predicted_error_of_limit: of_limits
-            .map(|(error, joint)| error / joint.limits.torque)
-            .collect(),
+        predicted_error_of_limit: of_limits.collect(),
         predicted_error_nm: errors,
         speed_share: speed_share.to_vec(),
         condition_number_frames: frames,
@@ -311,10 +309,11 @@ fn torque_limits(
         }
         worst = larger(worst, bound);
     }
-    let check = |(joint, worst): (&crate::robot::Joint, &f64)| {
+    let joints = robot.joints.iter().zip(worst.iter());
+    let check = joints.map(|(joint, worst)| {
         LimitCheck::at_most("torque", &joint.name, "N*m", (*worst, joint.limits.torque))
-    };
-    robot.joints.iter().zip(worst.iter()).map(check).collect()
+    });
+    check.collect()
 }
 
 fn clearance_limits(

@@ -1,7 +1,7 @@
 //! Distances of the links from the table and from each other, and how fast they can change.
 
 use crate::dynamics::PerJoint;
-use crate::robot::{Capsule, MAX_JOINTS, Placement, Robot, segment_distance};
+use crate::robot::{Capsule, Joint, MAX_JOINTS, Placement, Robot, segment_distance};
 
 /// Two bodies that keep their distance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,9 +13,7 @@ enum Pair {
 /// All distances that an arm must keep.
 #[derive(Clone, Debug)]
 pub(super) struct Clearances {
-    placements: Vec<Placement>,
-    capsules: Vec<Vec<Capsule>>,
-    names: Vec<String>,
+    joints: Vec<Joint>,
     pairs: Vec<Pair>,
     table_height: f64,
     /// Required distance, m.
@@ -28,10 +26,8 @@ impl Clearances {
     /// Links two or more apart keep clear of each other (neighbours share a joint housing), all but the first of the
     /// table (it carries the arm and keeps its height).
     pub(super) fn new(robot: &Robot) -> Self {
-        let joints = robot.joint_count();
-        let placements: Vec<Placement> = robot.joints.iter().map(|j| j.placement).collect();
-        let capsules: Vec<Vec<Capsule>> = robot.joints.iter().map(|j| j.capsules.clone()).collect();
-        let solid = |k: &usize| !capsules[*k].is_empty();
+        let (own, joints) = (&robot.joints, robot.joint_count());
+        let solid = |k: &usize| !own[*k].capsules.is_empty();
         let mut pairs = Vec::new();
         if robot.workspace.table_height.is_some() {
             pairs.extend((1..joints).filter(solid).map(|link| Pair::Table { link }));
@@ -40,33 +36,24 @@ impl Clearances {
             let outer = (inner + 2..joints).filter(solid);
             pairs.extend(outer.map(|outer| Pair::Links { inner, outer }));
         }
-        let levers = pairs
-            .iter()
-            .map(|pair| {
-                let (first, link) = match *pair {
-                    Pair::Table { link } => (0, link),
-                    Pair::Links { inner, outer } => (inner + 1, outer),
-                };
-                let reaches = capsules[link].iter().map(Capsule::reach);
-                let reach = reaches.fold(0.0, f64::max);
-                PerJoint::from_fn(joints, |i| {
-                    if (first..=link).contains(&i) {
-                        let arm = placements[i + 1..=link].iter();
-                        reach + arm.map(|placement| placement.origin.norm()).sum::<f64>()
-                    } else {
-                        0.0
-                    }
-                })
+        let levers = pairs.iter().map(|pair| {
+            let (first, link) = match *pair {
+                Pair::Table { link } => (0, link),
+                Pair::Links { inner, outer } => (inner + 1, outer),
+            };
+            let reaches = own[link].capsules.iter().map(Capsule::reach);
+            let reach = reaches.fold(0.0, f64::max);
+            PerJoint::from_fn(joints, |i| match (first..=link).contains(&i) {
+                true => reach + chain(&own[i + 1..=link]),
+                false => 0.0,
             })
-            .collect();
+        });
         Self {
-            placements,
-            capsules,
-            names: robot.joints.iter().map(|j| j.name.clone()).collect(),
+            joints: own.clone(),
+            levers: levers.collect(),
             pairs,
             table_height: robot.workspace.table_height.unwrap_or(f64::NEG_INFINITY),
             required: robot.workspace.clearance,
-            levers,
         }
     }
 
@@ -76,11 +63,10 @@ impl Clearances {
 
     /// Names of the two bodies of distance `index`.
     pub(super) fn name(&self, index: usize) -> String {
+        let name = |link: usize| &self.joints[link].name;
         match self.pairs[index] {
-            Pair::Table { link } => format!("{} to table", self.names[link]),
-            Pair::Links { inner, outer } => {
-                format!("{} to {}", self.names[inner], self.names[outer])
-            }
+            Pair::Table { link } => format!("{} to table", name(link)),
+            Pair::Links { inner, outer } => format!("{} to {}", name(inner), name(outer)),
         }
     }
 
@@ -91,13 +77,15 @@ impl Clearances {
         let Pair::Table { link } = self.pairs[index] else {
             return f64::INFINITY;
         };
-        let chain = self.placements[1..=link].iter();
-        let chain: f64 = chain.map(|placement| placement.origin.norm()).sum();
+        let (first, chain) = (
+            self.joints[0].placement.origin.z,
+            chain(&self.joints[1..=link]),
+        );
         let highest = |capsule: &Capsule| {
             let lower_end = capsule.ends[0].norm().min(capsule.ends[1].norm());
-            self.placements[0].origin.z + chain + lower_end - capsule.radius - self.table_height
+            first + chain + lower_end - capsule.radius - self.table_height
         };
-        let heights = self.capsules[link].iter().map(highest);
+        let heights = self.joints[link].capsules.iter().map(highest);
         heights.fold(f64::INFINITY, f64::min)
     }
 
@@ -114,8 +102,8 @@ impl Clearances {
     pub(super) fn write(&self, q: &[f64], out: &mut [f64]) {
         let mut poses = [Placement::identity(); MAX_JOINTS];
         let mut pose = Placement::identity();
-        for (k, placement) in self.placements.iter().enumerate() {
-            pose = pose.then(placement).turned(q[k]);
+        for (k, joint) in self.joints.iter().enumerate() {
+            pose = pose.then(&joint.placement).turned(q[k]);
             poses[k] = pose;
         }
         let placed = |k: usize, capsule: &Capsule| capsule.ends.map(|end| poses[k].point(&end));
@@ -123,16 +111,16 @@ impl Clearances {
             *distance = f64::INFINITY;
             match *pair {
                 Pair::Table { link } => {
-                    for capsule in &self.capsules[link] {
+                    for capsule in &self.joints[link].capsules {
                         let [a, b] = placed(link, capsule);
                         let height = a.z.min(b.z) - capsule.radius - self.table_height;
                         *distance = distance.min(height);
                     }
                 }
                 Pair::Links { inner, outer } => {
-                    for near in &self.capsules[inner] {
+                    for near in &self.joints[inner].capsules {
                         let near_ends = placed(inner, near);
-                        for far in &self.capsules[outer] {
+                        for far in &self.joints[outer].capsules {
                             let between = segment_distance(&near_ends, &placed(outer, far));
                             *distance = distance.min(between - near.radius - far.radius);
                         }
@@ -141,6 +129,14 @@ impl Clearances {
             }
         }
     }
+}
+
+/// Length of the stretched chain of these joints, m.
+fn chain(joints: &[Joint]) -> f64 {
+    joints
+        .iter()
+        .map(|joint| joint.placement.origin.norm())
+        .sum()
 }
 
 #[cfg(test)]

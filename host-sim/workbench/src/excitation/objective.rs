@@ -90,9 +90,8 @@ pub(super) fn basis(bases: &Bases, period_s: f64) -> Vec<[[f64; 3]; VARIABLES]> 
         let (q, qd, qdd) = bases.series(&one).at(t_s, TAU / period_s);
         [q, qd, qdd]
     };
-    (0..INSTANTS)
-        .map(|k| std::array::from_fn(|variable| at(k, variable)))
-        .collect()
+    let instants = (0..INSTANTS).map(|k| std::array::from_fn(|variable| at(k, variable)));
+    instants.collect()
 }
 
 /// Weight of the penalties, and distance on top of what each pair requires, m.

@@ -1,6 +1,6 @@
 //! Bounds of the rate of the drive torques, between two points of a certificate, from derivatives of the regressor's rows.
 
-use super::rows::{LinkMotion, Rows};
+use super::rows::{FrameMotion, Rows};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::{Coupling, Joint, LINK_PARAMETERS, Robot};
 use nalgebra::{Matrix3, Vector3};
@@ -152,7 +152,7 @@ impl Rows {
         slopes: &mut [[f64; 3]],
     ) {
         let (width, joints) = (self.count(), self.of_joints(state));
-        let links = self.motion(&joints);
+        let links = self.motion(state);
         // Weights of joint torques: `pullᵀ C⁻ᵀ`.
         let mut of_joints = pull.to_vec();
         if let Some(coupling) = &self.coupling {
@@ -170,11 +170,11 @@ impl Rows {
         }
         let mut by_joint = [PerJoint::repeat(links.len(), 0.0); 3];
         for k in (0..links.len()).rev() {
-            let LinkMotion { step, axis, .. } = links[k];
-            let before = k.checked_sub(1).map(|before| links[before]);
-            let (omega, alpha) = before.map_or((Vector3::zeros(), Vector3::zeros()), |link| {
-                (link.omega, link.alpha)
-            });
+            let axis = links[k].link.axis;
+            let before = k.checked_sub(1).map(|before| links[before].link);
+            let before = before.unwrap_or_default();
+            let (omega, alpha) = (before.omega, before.alpha);
+            let step = before.rot * self.placements[k].origin;
             let (qd, qdd) = (joints.qd[k], joints.qdd[k]);
             let mut here = by[k];
             here.axis += here.omega * qd + here.alpha * qdd + here.alpha.cross(&omega) * qd;
@@ -215,18 +215,21 @@ impl Rows {
 
 /// Adds the slopes of the torque at joint j that link k causes, with these weights of its columns in the row.
 fn add_torque(
-    links: &[LinkMotion],
+    links: &[FrameMotion],
     [j, k]: [usize; 2],
     [mass, x, y, z, xx, yy, zz, xy, xz, yz]: [f64; LINK_PARAMETERS],
     slopes: &mut [LinkSlopes],
 ) {
     let c = &Vector3::new(x, y, z);
     let inertia = &Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-    let link = &links[k];
-    let LinkMotion { a, w, al, .. } = link;
-    let to_frame = link.rot_frame.transpose();
-    let r_base = link.origin + link.lever - links[j].origin;
-    let (z, r) = (to_frame * links[j].axis, to_frame * r_base);
+    let frame = &links[k];
+    let FrameMotion {
+        a, w, al, lever, ..
+    } = frame;
+    let (link, rot) = (&frame.link, &frame.rot_frame);
+    let to_frame = rot.transpose();
+    let r_base = link.origin + lever - links[j].link.origin;
+    let (z, r) = (to_frame * links[j].link.axis, to_frame * r_base);
     let h = a * mass + al.cross(c) + w.cross(&w.cross(c));
     let (p, iw) = (z.cross(&r), inertia * w);
     let n = c.cross(a) + inertia * al + w.cross(&iw);
@@ -238,15 +241,14 @@ fn add_torque(
     // What is expressed in the frame, turned back into the base.
     let against =
         a.cross(&by_a) + w.cross(&by_w) + al.cross(&by_al) + z.cross(&by_z) + r.cross(&by_r);
-    let rot = &link.rot_frame;
     let (by_a, by_r) = (rot * by_a, rot * by_r);
     let here = &mut slopes[k];
     here.acceleration += by_a;
     here.omega += rot * by_w;
     here.alpha += rot * by_al;
     here.origin += by_r;
-    let by_lever = here.take_lever(&by_a, &link.lever, &link.omega, &link.alpha) + by_r;
-    here.turn += link.lever.cross(&by_lever) - rot * against;
+    let by_lever = here.take_lever(&by_a, lever, &link.omega, &link.alpha) + by_r;
+    here.turn += lever.cross(&by_lever) - rot * against;
     slopes[j].axis += rot * by_z;
     slopes[j].origin -= by_r;
 }

@@ -1,8 +1,10 @@
 //! Rows of the base regressor in the link frames of the description, with rotor and friction columns.
 
-use crate::dynamics::{Motion, PerJoint, RigidBodies, STATES, independent_columns, random_motions};
+use crate::dynamics::{
+    LinkMotion, Motion, PerJoint, RigidBodies, STATES, independent_columns, random_motions,
+};
 use crate::robot::{Coupling, Joint, LINK_PARAMETERS, Placement, Robot};
-use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::ops::Range;
 
 /// Frames in which the inertial parameters of a link are expressed.
@@ -14,21 +16,14 @@ pub(super) enum Frames {
     Board,
 }
 
-/// Motion of a link in the base frame; `a`, `w` and `al` in the parameters' frame.
+/// Motion of a link, and of the frame of its parameters: `a`, `w` and `al` in that frame, all else in the base frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct LinkMotion {
+pub(super) struct FrameMotion {
+    pub(super) link: LinkMotion,
     /// Orientation of the parameters' frame.
     pub(super) rot_frame: Matrix3<f64>,
-    /// From the origin of the link before to that of this one.
-    pub(super) step: Vector3<f64>,
-    /// Origin of the joint frame.
-    pub(super) origin: Vector3<f64>,
     /// From the origin of the joint frame to that of the parameters' frame.
     pub(super) lever: Vector3<f64>,
-    /// Axis of the joint.
-    pub(super) axis: Vector3<f64>,
-    pub(super) omega: Vector3<f64>,
-    pub(super) alpha: Vector3<f64>,
     /// Acceleration of the origin of the parameters' frame, less gravity.
     pub(super) a: Vector3<f64>,
     pub(super) w: Vector3<f64>,
@@ -40,10 +35,10 @@ pub(super) struct LinkMotion {
 /// Columns: base parameters of the links, base rotor inertias, then a viscous and a Coulomb column a joint.
 #[derive(Clone, Debug)]
 pub(super) struct Rows {
-    placements: Vec<Placement>,
+    bodies: RigidBodies,
+    pub(super) placements: Vec<Placement>,
     /// Frame of the parameters in the joint frame.
     frames: Vec<Placement>,
-    gravity: Vector3<f64>,
     pub(super) coupling: Option<Coupling>,
     /// (link, parameter) of every base column of the links.
     pub(super) link_columns: Vec<(usize, usize)>,
@@ -60,9 +55,9 @@ impl Rows {
         let links = joints * LINK_PARAMETERS;
         let place = |column: usize| (column / LINK_PARAMETERS, column % LINK_PARAMETERS);
         let mut rows = Self {
+            bodies: RigidBodies::new(robot),
             placements: robot.joints.iter().map(|joint| joint.placement).collect(),
             frames: robot.joints.iter().map(parameters).collect(),
-            gravity: robot.gravity,
             coupling: robot.coupling.clone(),
             link_columns: (0..links).map(place).collect(),
             rotor_columns: (0..joints).collect(),
@@ -117,39 +112,26 @@ impl Rows {
         joints
     }
 
-    /// Motion of every link, from the base on, under a motion of the joints.
-    pub(super) fn motion(&self, state: &Motion) -> Vec<LinkMotion> {
-        let mut rot = Matrix3::identity();
-        let mut origin = Vector3::zeros();
-        let (mut omega, mut alpha) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
-        let mut acceleration = -self.gravity;
-        let links = (0..self.joints()).map(|k| {
-            let step = rot * self.placements[k].origin;
-            origin += step;
-            acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
-            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), state.q[k]);
-            rot = rot * self.placements[k].rot_parent_child * turn.matrix();
-            let axis: Vector3<f64> = rot.column(2).into_owned();
-            alpha += axis * state.qdd[k] + omega.cross(&axis) * state.qd[k];
-            omega += axis * state.qd[k];
-            let lever = rot * self.frames[k].origin;
-            let rot_frame = rot * self.frames[k].rot_parent_child;
+    /// Motion of every link, from the base on, under a motion of the drives.
+    pub(super) fn motion(&self, drives: &Motion) -> Vec<FrameMotion> {
+        let links = self.bodies.kinematics(drives);
+        let frames = self.frames.iter().zip(links).map(|(frame, link)| {
+            let (omega, alpha) = (link.omega, link.alpha);
+            let lever = link.rot * frame.origin;
+            let rot_frame = link.rot * frame.rot_parent_child;
             let to_frame = rot_frame.transpose();
-            let moved = acceleration + alpha.cross(&lever) + omega.cross(&omega.cross(&lever));
-            LinkMotion {
+            let turned = alpha.cross(&lever);
+            let moved = link.acceleration + turned + omega.cross(&omega.cross(&lever));
+            FrameMotion {
+                link,
                 rot_frame,
-                step,
-                origin,
                 lever,
-                axis,
-                omega,
-                alpha,
                 a: to_frame * moved,
                 w: to_frame * omega,
                 al: to_frame * alpha,
             }
         });
-        links.collect()
+        frames.collect()
     }
 
     /// Writes N rows of [`Self::count`] entries into `out`, one after the other. `sign_width`, rad/s, smooths the sign of
@@ -160,15 +142,16 @@ impl Rows {
     pub(super) fn write(&self, state: &Motion, sign_width: f64, out: &mut [f64]) {
         let width = self.count();
         out.fill(0.0);
-        let links = self.motion(&self.of_joints(state));
-        for (k, link) in links.iter().enumerate() {
-            let to_frame = link.rot_frame.transpose();
-            let LinkMotion { a, w, al, .. } = *link;
+        let links = self.motion(state);
+        for (k, frame) in links.iter().enumerate() {
+            let to_frame = frame.rot_frame.transpose();
+            let FrameMotion { a, w, al, .. } = *frame;
             let cross = w.cross_matrix();
             let u = al.cross_matrix() + cross * cross;
             for j in 0..=k {
-                let z = to_frame * links[j].axis;
-                let p = z.cross(&(to_frame * (link.origin + link.lever - links[j].origin)));
+                let z = to_frame * links[j].link.axis;
+                let arm = frame.link.origin + frame.lever - links[j].link.origin;
+                let p = z.cross(&(to_frame * arm));
                 let s = z.cross(&w);
                 let moment = u.tr_mul(&p) + a.cross(&z);
                 let pair = |i: usize, j: usize| z[i] * al[j] + s[i] * w[j];
@@ -221,16 +204,14 @@ impl Rows {
     /// Values of all columns' parameters for this robot: rigid ones by least squares from its exact torques,
     /// friction from the description.
     pub(super) fn parameters(&self, robot: &Robot) -> Option<DVector<f64>> {
-        let model = RigidBodies::new(robot);
         let rigid = self.link_columns.len() + self.rotor_columns.len();
         let states = random_motions(self.joints(), STATES);
         let rows = self.stacked(&states).columns(0, rigid).into_owned();
         let mut torques = DVector::zeros(self.joints() * STATES);
         for (k, state) in states.iter().enumerate() {
-            let tau = model.inverse_dynamics(state);
-            torques
-                .rows_mut(k * tau.len(), tau.len())
-                .copy_from_slice(&tau);
+            let tau = self.bodies.inverse_dynamics(state);
+            let mut target = torques.rows_mut(k * tau.len(), tau.len());
+            target.copy_from_slice(&tau);
         }
         let solved = rows.svd(true, true).solve(&torques, 1e-12).ok()?;
         let mut all = DVector::zeros(self.count());

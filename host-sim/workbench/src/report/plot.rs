@@ -180,11 +180,8 @@ fn single(panel: &Panel, size: (u32, u32)) -> Result<(String, [i32; 4]), PlotErr
 }
 
 fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<[i32; 4], PlotError> {
-    let font = |size: u32| {
-        ("sans-serif", size * FINE)
-            .into_font()
-            .color(&rgb("--text"))
-    };
+    let text = rgb("--text");
+    let font = |size: u32| ("sans-serif", size * FINE).into_font().color(&text);
     let ((x0, x1), (y0, y1)) = ranges(panel);
     let mut chart = ChartBuilder::on(area)
         .margin(8 * FINE)
@@ -239,10 +236,9 @@ fn data(panel: &Panel) -> String {
     let (x, y) = ranges(panel);
     let (x_digits, y_digits) = (digits(x), digits(y));
     let curves = panel.curves.iter().map(|curve| {
-        let (x, y): (Vec<f64>, Vec<f64>) = thinned(&curve.points, FINE_BUCKETS)
-            .into_iter()
-            .map(|(x, y)| (rounded(x, x_digits), rounded(y, y_digits)))
-            .unzip();
+        let points = thinned(&curve.points, FINE_BUCKETS).into_iter();
+        let points = points.map(|(x, y)| (rounded(x, x_digits), rounded(y, y_digits)));
+        let (x, y): (Vec<f64>, Vec<f64>) = points.unzip();
         json!({"c": curve.color.variable(), "w": line_width(curve), "x": x, "y": y})
     });
     serde_json::Value::from_iter(curves).to_string()
@@ -305,9 +301,8 @@ mod tests {
 
     #[test]
     fn thinning_keeps_every_peak_and_the_order() {
-        let mut points: Vec<(f64, f64)> = (0..30_000)
-            .map(|k| (f64::from(k), (f64::from(k) * 1e-3).sin()))
-            .collect();
+        let points = (0..30_000).map(|k| (f64::from(k), (f64::from(k) * 1e-3).sin()));
+        let mut points: Vec<(f64, f64)> = points.collect();
         points[12_345].1 = 50.0;
         let kept = thinned(&points, BUCKETS);
         assert!(kept.len() <= 2 * BUCKETS);
@@ -323,9 +318,8 @@ mod tests {
 
     #[test]
     fn large_times_keep_their_differences() {
-        let points: Vec<(f64, f64)> = (0..400)
-            .map(|k| (1.7e9 + 0.1 * f64::from(k), 0.0))
-            .collect();
+        let points = (0..400).map(|k| (1.7e9 + 0.1 * f64::from(k), 0.0));
+        let points: Vec<(f64, f64)> = points.collect();
         let curve = Curve::new(PlotColor::Truth, &points, |point| *point);
         let kept = data(&Panel::new("a", "t / s", "q / rad", vec![curve]));
         let curves: Vec<serde_json::Value> = serde_json::from_str(&kept).expect("JSON");

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 /// Time between two via points of a random path, s.
 const SEGMENT_S: f64 = 1.5;
 /// Range of its via points around zero, rad.
-pub(crate) const VIA_RANGE_RAD: f64 = 2.0;
+pub(super) const VIA_RANGE_RAD: f64 = 2.0;
 
 /// Points of a segment at which torques are looked at.
 const TORQUE_POINTS: usize = 10;
