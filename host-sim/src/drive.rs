@@ -305,7 +305,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             learnt.refresh::<A, N, P>(&controller.feed_forward().in_force());
             write_whole(&out.join("bank.bin"), &bank::bytes(&learnt)?)?;
         }
-        let [median, high, largest] = played.player.jitter.figures();
+        let [median, high, largest] = played.player.jitter_us();
         let rms = played.rms_mrad();
         let lost = (0..N).map(|j| controller.drives().counters(j).lost);
         let summary = Summary {

@@ -21,7 +21,7 @@ use foretorque::learning::{Learner, LearnerConfig, ParameterSet};
 use foretorque_link::bank::{ColumnId, ColumnKind, NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::ARM_SAMPLES;
 use foretorque_link::wire::{Configuration, NackReason, PROTOCOL_VERSION, Pacing, ReplyMode};
-use foretorque_workbench::board::{BoardError, BoardShares, Client, TickReply, Transport};
+use foretorque_workbench::board::{BoardError, Client, TickReply, Transport};
 use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
@@ -141,13 +141,12 @@ fn decimated_shares_are_those_of_joint_tick_modulo_n() {
     for k in 0..20 {
         let [one, all] = [&mut one, &mut all].map(|board| board.sample(&sample(k)).unwrap());
         assert_eq!(bits(&one), bits(&all));
-        let (BoardShares::Joint(joint, shares), BoardShares::All(whole)) = (one.shares, all.shares)
-        else {
-            panic!("reply modes mixed up");
-        };
-        assert_eq!(joint, k as usize % N);
-        let whole = [whole.rigid, whole.friction, whole.network];
-        assert_eq!(shares, whole.map(|share| share[joint]));
+        for joint in 0..N {
+            let (shares, whole) = (one.shares.of(joint), all.shares.of(joint));
+            let answered = joint == k as usize % N;
+            assert_eq!(shares, whole.filter(|_| answered), "joint {joint} of {k}");
+            assert!(whole.is_some(), "joint {joint} of {k}");
+        }
     }
 }
 

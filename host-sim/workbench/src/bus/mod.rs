@@ -8,7 +8,7 @@ mod sockets;
 mod text;
 
 pub use commission::{Ask, Commissioning, Found, Step};
-pub use player::{BusPlayer, Jitter};
+pub use player::BusPlayer;
 pub use profile::{BitRates, Profile, frame_time_s};
 
 use foretorque_link::bus::BusFault;

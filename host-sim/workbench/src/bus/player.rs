@@ -28,27 +28,8 @@ pub struct BusPlayer<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
     /// The learner.
     pub learner: Learner<A, N, P>,
     mailbox: LearnerMailbox<N, P>,
-    /// Delays of the ticks so far.
-    pub jitter: Jitter,
-}
-
-/// Delays of the ticks behind their time.
-#[derive(Clone, Debug, Default)]
-pub struct Jitter {
+    /// Delays of the ticks so far behind their time, µs.
     delays_us: Vec<f32>,
-}
-
-impl Jitter {
-    /// Median, 99.9th percentile and largest delay, µs.
-    pub fn figures(&self) -> [f32; 3] {
-        let mut sorted = self.delays_us.clone();
-        sorted.sort_by(f32::total_cmp);
-        let at = |share: f64| {
-            let place = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
-            sorted.get(place).copied().unwrap_or_default()
-        };
-        [at(0.5), at(0.999), at(1.0)]
-    }
 }
 
 impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N, P> {
@@ -72,7 +53,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             network,
             learner,
             mailbox: LearnerMailbox::default(),
-            jitter: Jitter::default(),
+            delays_us: Vec::new(),
         })
     }
 
@@ -86,7 +67,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
     /// Errors: a bus that has gone; the drives are then out of reach, and their watchdogs end the torque.
     pub fn tick(&mut self, desired: Option<&JointMotion<N>>) -> Result<BusTick<N>, BusError> {
         let delay = self.network.wait();
-        self.jitter.delays_us.push(delay.as_secs_f32() * 1e6);
+        self.delays_us.push(delay.as_secs_f32() * 1e6);
         while let Some((bus, frame)) = self.network.receive()? {
             self.controller.receive(bus, &frame);
         }
@@ -192,6 +173,16 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             self.tick(None)?;
         }
         Ok(self.controller.status().reason)
+    }
+
+    /// Median, 99.9th percentile and largest delay of the ticks behind their time, µs.
+    pub fn jitter_us(&self) -> [f32; 3] {
+        let mut sorted = self.delays_us.clone();
+        sorted.sort_by(f32::total_cmp);
+        [0.5, 0.999, 1.0].map(|share| {
+            let place = (share * sorted.len().saturating_sub(1) as f64).round() as usize;
+            sorted.get(place).copied().unwrap_or_default()
+        })
     }
 
     /// Last known positions, rad.

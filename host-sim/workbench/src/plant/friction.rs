@@ -23,7 +23,7 @@ const HALF_WARM_SHARE: f64 = 0.05;
 /// With a presliding displacement x the Coulomb part is that of the LuGre model [Canudas de Wit 1995, eqs. 1–3]:
 /// `σ0 z + σ1 dz/dt`, `dz/dt = qd − σ0 |qd| / g(qd) z`, `σ0 = c / x`, `σ1 = sqrt(σ0 J)`: the joint sticks.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct FrictionModel<const N: usize> {
+pub(super) struct DriveFriction<const N: usize> {
     joints: [Friction; N],
     /// Relative growth of the viscous coefficient, 1/s.
     pub(super) viscous_drift: f64,
@@ -35,11 +35,6 @@ pub(super) struct FrictionModel<const N: usize> {
     warm_fall: f64,
     warm_up_s: f64,
     half_warm: [f64; N],
-}
-
-/// State of the friction.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct FrictionState<const N: usize> {
     /// Deflection z of the bristles, rad, and divisor of its implicit step.
     deflection: Joints<N>,
     divisor: Joints<N>,
@@ -47,22 +42,8 @@ pub(super) struct FrictionState<const N: usize> {
     warmth: Joints<N>,
 }
 
-impl<const N: usize> FrictionState<N> {
-    pub(super) fn new() -> Self {
-        Self {
-            deflection: Joints::zeros(),
-            divisor: Joints::repeat(1.0),
-            warmth: Joints::zeros(),
-        }
-    }
-
-    /// Ends a step of `h` s that has left the velocity at `qd`.
-    pub(super) fn advance(&mut self, qd: &Joints<N>, h: f64) {
-        self.deflection = (self.deflection + qd * h).component_div(&self.divisor);
-    }
-}
-
-impl<const N: usize> FrictionModel<N> {
+impl<const N: usize> DriveFriction<N> {
+    /// Cold drives without deflection; `None` when the robot has not `N` joints.
     pub(super) fn new(robot: &Robot, config: &PlantConfig) -> Option<Self> {
         let effects = &config.effects;
         let bristles = robot.each(|joint| {
@@ -79,7 +60,15 @@ impl<const N: usize> FrictionModel<N> {
             warm_up_s: effects.warm_up_s,
             half_warm: robot
                 .each(|joint| HALF_WARM_SHARE * joint.limits.torque * joint.limits.velocity)?,
+            deflection: Joints::zeros(),
+            divisor: Joints::repeat(1.0),
+            warmth: Joints::zeros(),
         })
+    }
+
+    /// Ends a step of `h` s that has left the velocity at `qd`.
+    pub(super) fn advance(&mut self, qd: &Joints<N>, h: f64) {
+        self.deflection = (self.deflection + qd * h).component_div(&self.divisor);
     }
 
     /// Torque the drives must supply against steady friction, N·m, and its slope over the velocity, N·m·s/rad.
@@ -88,12 +77,11 @@ impl<const N: usize> FrictionModel<N> {
         q: &Joints<N>,
         qd: &Joints<N>,
         load: &Joints<N>,
-        state: &FrictionState<N>,
         t_s: f64,
     ) -> (Joints<N>, Joints<N>) {
         let (mut torque, mut slope) = (Joints::zeros(), Joints::zeros());
         for j in 0..N {
-            let (viscous, coulomb, cogging) = self.parts(j, q, qd, load, state, t_s);
+            let (viscous, coulomb, cogging) = self.parts(j, q[j], qd[j], load[j], t_s);
             let sign = (qd[j] / SIGN_WIDTH_RAD_S).tanh();
             torque[j] = viscous * qd[j] + coulomb * sign + cogging;
             // The falling flank of the Stribeck peak is left out of the slope: only what damps is taken implicitly.
@@ -106,65 +94,50 @@ impl<const N: usize> FrictionModel<N> {
     ///
     /// `z' = (z + h qd') / (1 + h σ0 |qd| / g)`: the new velocity qd' enters linearly, so the slope is exact.
     pub(super) fn begin_step(
-        &self,
+        &mut self,
         q: &Joints<N>,
         qd: &Joints<N>,
         load: &Joints<N>,
-        state: &mut FrictionState<N>,
         (t_s, h): (f64, f64),
     ) -> (Joints<N>, Joints<N>) {
-        let (mut torque, mut slope) = self.torque_and_slope(q, qd, load, state, t_s);
+        let (mut torque, mut slope) = self.torque_and_slope(q, qd, load, t_s);
         for j in 0..N {
             let Some((stiffness, damping)) = self.bristles[j] else {
                 continue;
             };
-            let (viscous, coulomb, cogging) = self.parts(j, q, qd, load, state, t_s);
+            let (viscous, coulomb, cogging) = self.parts(j, q[j], qd[j], load[j], t_s);
             // A joint without Coulomb friction has no bristles.
             let divisor = 1.0 + h * stiffness * qd[j].abs() / coulomb.max(1e-9);
-            let z = state.deflection[j];
+            let z = self.deflection[j];
             let next = (z + h * qd[j]) / divisor;
             let bristles = stiffness * next + damping * (next - z) / h;
             torque[j] = viscous * qd[j] + bristles + cogging;
             slope[j] = viscous + (stiffness * h + damping) / divisor;
-            state.divisor[j] = divisor;
+            self.divisor[j] = divisor;
         }
         (torque, slope)
     }
 
     /// Warms the drives by the power of friction over `period_s`: `dw/dt = (p / (1 + p) − w) / T`.
-    pub(super) fn warm(
-        &self,
-        state: &mut FrictionState<N>,
-        friction: &Joints<N>,
-        qd: &Joints<N>,
-        period_s: f64,
-    ) {
+    pub(super) fn warm(&mut self, friction: &Joints<N>, qd: &Joints<N>, period_s: f64) {
         if self.warm_up_s > 0.0 {
             for j in 0..N {
                 let power = (friction[j] * qd[j]).abs() / self.half_warm[j];
                 let step = (period_s / self.warm_up_s).min(1.0);
-                state.warmth[j] += step * (power / (1.0 + power) - state.warmth[j]);
+                self.warmth[j] += step * (power / (1.0 + power) - self.warmth[j]);
             }
         }
     }
 
     /// Viscous coefficient, Coulomb torque of a sliding joint and cogging torque of joint `j`.
-    fn parts(
-        &self,
-        j: usize,
-        q: &Joints<N>,
-        qd: &Joints<N>,
-        load: &Joints<N>,
-        state: &FrictionState<N>,
-        t_s: f64,
-    ) -> (f64, f64, f64) {
+    fn parts(&self, j: usize, q: f64, qd: f64, load: f64, t_s: f64) -> (f64, f64, f64) {
         let friction = &self.joints[j];
-        let warm = 1.0 - self.warm_fall * state.warmth[j];
+        let warm = 1.0 - self.warm_fall * self.warmth[j];
         let viscous = friction.viscous * (1.0 + self.viscous_drift * t_s) * warm;
-        let ratio = qd[j] / friction.stribeck_velocity;
+        let ratio = qd / friction.stribeck_velocity;
         let peak = friction.stribeck_ratio * (-ratio * ratio).exp();
-        let cogging = friction.cogging * (friction.cogging_cycles_rev * q[j]).sin();
-        let coulomb = friction.coulomb * (1.0 + peak) + self.load * load[j].abs();
+        let cogging = friction.cogging * (friction.cogging_cycles_rev * q).sin();
+        let coulomb = friction.coulomb * (1.0 + peak) + self.load * load.abs();
         (viscous, coulomb, cogging)
     }
 }
@@ -273,7 +246,7 @@ mod tests {
     use super::*;
     use crate::plant::PlantEffects;
 
-    fn model(viscous_drift: f64, load_friction: f64, effects: PlantEffects) -> FrictionModel<6> {
+    fn model(viscous_drift: f64, load_friction: f64, effects: PlantEffects) -> DriveFriction<6> {
         let robot = Robot::load("ur5").expect("built in");
         let config = PlantConfig {
             viscous_drift,
@@ -281,14 +254,12 @@ mod tests {
             effects,
             ..PlantConfig::default()
         };
-        FrictionModel::new(&robot, &config).expect("six joints")
+        DriveFriction::new(&robot, &config).expect("six joints")
     }
 
-    fn steady(model: &FrictionModel<6>, q: &Joints<6>, qd: f64, load: f64, t_s: f64) -> Joints<6> {
+    fn steady(model: &DriveFriction<6>, q: &Joints<6>, qd: f64, load: f64, t_s: f64) -> Joints<6> {
         let (qd, load) = (Joints::repeat(qd), Joints::repeat(load));
-        model
-            .torque_and_slope(q, &qd, &load, &FrictionState::new(), t_s)
-            .0
+        model.torque_and_slope(q, &qd, &load, t_s).0
     }
 
     #[test]
@@ -333,13 +304,12 @@ mod tests {
             presliding_mrad: 0.5,
             ..PlantEffects::default()
         };
-        let (model, q, h) = (model(0.0, 0.0, effects), Joints::<6>::zeros(), 1.25e-4);
-        let (load, mut state) = (Joints::zeros(), FrictionState::new());
+        let (mut model, zero, h) = (model(0.0, 0.0, effects), Joints::<6>::zeros(), 1.25e-4);
         let mut run = |qd: f64, steps: usize| {
             let (qd, mut torque) = (Joints::repeat(qd), Joints::zeros());
             for _ in 0..steps {
-                torque = model.begin_step(&q, &qd, &load, &mut state, (0.0, h)).0;
-                state.advance(&qd, h);
+                torque = model.begin_step(&zero, &qd, &zero, (0.0, h)).0;
+                model.advance(&qd, h);
             }
             torque
         };
@@ -369,15 +339,14 @@ mod tests {
             warm_up_s: 100.0,
             ..PlantEffects::default()
         };
-        let (model, q) = (model(0.0, 0.0, effects), Joints::<6>::zeros());
-        let (qd, load) = (Joints::repeat(1.0), Joints::zeros());
-        let mut state = FrictionState::new();
-        let cold = model.torque_and_slope(&q, &qd, &load, &state, 0.0).0;
+        let mut model = model(0.0, 0.0, effects);
+        let at_speed = |model: &DriveFriction<6>| steady(model, &Joints::zeros(), 1.0, 0.0, 0.0);
+        let cold = at_speed(&model);
         for _ in 0..1000 {
-            let now = model.torque_and_slope(&q, &qd, &load, &state, 0.0).0;
-            model.warm(&mut state, &now, &qd, 0.5);
+            let now = at_speed(&model);
+            model.warm(&now, &Joints::repeat(1.0), 0.5);
         }
-        let warm = model.torque_and_slope(&q, &qd, &load, &state, 0.0).0;
+        let warm = at_speed(&model);
         for j in 0..6 {
             let fallen = (cold[j] - warm[j]) / model.joints[j].viscous;
             assert!((0.1..0.4).contains(&fallen), "{fallen}");

@@ -11,7 +11,7 @@ pub use effects::{PlantEffects, ReportFaults};
 use crate::dynamics::{Joints, ReferenceModel, State};
 use crate::robot::{Link, Robot};
 use effects::{DriveErrors, ReportQueue};
-use friction::{FrictionModel, FrictionState, Gear, solved};
+use friction::{DriveFriction, Gear, solved};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -136,8 +136,7 @@ pub struct Plant<const N: usize> {
     unloaded: ReferenceModel<N>,
     events: Events<N>,
     carried: Option<usize>,
-    friction: FrictionModel<N>,
-    friction_state: FrictionState<N>,
+    friction: DriveFriction<N>,
     drives: DriveErrors<N>,
     gear: Option<Gear<N>>,
     torque_limit: Joints<N>,
@@ -176,8 +175,7 @@ impl<const N: usize> Plant<N> {
             unloaded,
             events: Events::default(),
             carried: None,
-            friction: FrictionModel::new(robot, &config)?,
-            friction_state: FrictionState::new(),
+            friction: DriveFriction::new(robot, &config)?,
             drives,
             gear: match elastic {
                 true => Some(Gear::new(robot, effects, &torque_limit)?),
@@ -256,11 +254,8 @@ impl<const N: usize> Plant<N> {
             let links = self.gear.as_ref().map(|gear| (gear.q, gear.qd));
             let (q, qd) = links.unwrap_or((self.q, self.qd));
             let (mass, bias) = self.model.mass_matrix_and_bias(&q, &qd);
-            let (state, time) = (&mut self.friction_state, (self.t_s, h));
-            let step = self
-                .friction
-                .begin_step(&self.q, &self.qd, &bias, state, time);
-            let (friction, slope) = step;
+            let (own, time) = (&mut self.friction, (self.t_s, h));
+            let (friction, slope) = own.begin_step(&self.q, &self.qd, &bias, time);
             let made = self.drives.delivered(&self.tau, self.t_s);
             let push = self.events.push_at(self.t_s);
             let qdd = match &mut self.gear {
@@ -273,11 +268,10 @@ impl<const N: usize> Plant<N> {
             self.qd += qdd * h;
             self.q += self.qd * h;
             self.t_s += h;
-            self.friction_state.advance(&self.qd, h);
+            self.friction.advance(&self.qd, h);
             resisted = friction;
         }
-        self.friction
-            .warm(&mut self.friction_state, &resisted, &self.qd, period_s);
+        self.friction.warm(&resisted, &self.qd, period_s);
     }
 
     /// Reads the sensors: encoder counts, and the torque of the last period with its noise.
@@ -312,8 +306,7 @@ impl<const N: usize> Plant<N> {
     pub fn true_torque(&self, motion: &State<N>) -> Joints<N> {
         let (q, qd) = (&motion.q, &motion.qd);
         let (_, bias) = self.model.mass_matrix_and_bias(q, qd);
-        let (friction, state) = (&self.friction, &self.friction_state);
-        let (friction, _) = friction.torque_and_slope(q, qd, &bias, state, self.t_s);
+        let (friction, _) = self.friction.torque_and_slope(q, qd, &bias, self.t_s);
         // Measured part of friction and rotors.
         let (part, rotor) = match &self.gear {
             Some(gear) if self.sensor().is_some() => (0.0, gear.rotor),

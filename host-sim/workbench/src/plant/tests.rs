@@ -79,10 +79,8 @@ fn friction_and_work_balance_the_energy() {
     plant.place(&Joints::repeat(-0.6));
     let start = plant.model.energy(&plant.q, &plant.qd);
     let resisted = |plant: &Plant<6>| {
-        let (friction, state, zero) = (&plant.friction, &plant.friction_state, Joints::zeros());
-        friction
-            .torque_and_slope(&plant.q, &plant.qd, &zero, state, 0.0)
-            .0
+        let (friction, zero) = (&plant.friction, Joints::zeros());
+        friction.torque_and_slope(&plant.q, &plant.qd, &zero, 0.0).0
     };
     let mut work = 0.0;
     for k in 0..1000 {

@@ -261,16 +261,13 @@ impl Rows {
                 separator,
                 ..
             } => {
-                let is_comment = |record: &csv::ByteRecord| {
-                    let first = record.get(0).unwrap_or_default();
-                    first.trim_ascii_start().starts_with(b"#")
-                };
                 loop {
                     let more = reader.read_byte_record(record);
                     if !more.map_err(|error| unreadable(&self.path, &error))? {
                         return Ok(false);
                     }
-                    if !is_comment(record) {
+                    let first = record.get(0).unwrap_or_default();
+                    if !first.trim_ascii_start().starts_with(b"#") {
                         break;
                     }
                 }

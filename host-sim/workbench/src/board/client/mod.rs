@@ -29,6 +29,16 @@ pub enum BoardShares<const N: usize> {
     All(Shares<N>),
 }
 
+impl<const N: usize> BoardShares<N> {
+    /// Rigid body, friction and network of a joint, as far as known.
+    pub fn of(&self, joint: usize) -> Option<[f32; 3]> {
+        match self {
+            Self::Joint(own, shares) => (*own == joint).then_some(*shares),
+            Self::All(all) => Some([all.rigid, all.friction, all.network].map(|all| all[joint])),
+        }
+    }
+}
+
 /// Torque of one tick, as the board answered it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TickReply<const N: usize> {

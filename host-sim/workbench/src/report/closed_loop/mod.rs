@@ -6,7 +6,6 @@ mod page;
 pub use health::{DecisionRecord, LearntRecord};
 pub use page::page;
 
-use crate::board::BoardShares;
 use crate::closed_loop::TickRecord;
 use crate::dynamics::Joints;
 use crate::metrics::TrackingError;
@@ -241,19 +240,9 @@ impl<const N: usize> ClosedLoopLog<N> {
         }
         // A reply carries the shares of one joint, the next one's in the next tick: whole rounds are kept, or dropped.
         if (self.seen / N).is_multiple_of(self.rounds) {
-            match &record.shares {
-                Some(BoardShares::Joint(joint, shares)) => {
-                    if let Some(curve) = self.shares.get_mut(*joint) {
-                        curve.push((record.t_s, shares.map(f64::from)));
-                    }
-                }
-                Some(BoardShares::All(all)) => {
-                    for (j, curve) in self.shares.iter_mut().enumerate() {
-                        let shares = [all.rigid[j], all.friction[j], all.network[j]];
-                        curve.push((record.t_s, shares.map(f64::from)));
-                    }
-                }
-                None => {}
+            for (joint, curve) in self.shares.iter_mut().enumerate() {
+                let shares = record.shares.and_then(|shares| shares.of(joint));
+                curve.extend(shares.map(|shares| (record.t_s, shares.map(f64::from))));
             }
         }
         self.seen += 1;

@@ -1,6 +1,6 @@
 //! Paths of the tool: a small file of lines, circles and via points, laid out as joint motion by inverse kinematics.
 //!
-//! `parse` (text → moves) → `Curve` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
+//! `parse` (text → moves) → `Move::at` (pose, twist and its derivative at an instant) → [`plan`] (joint positions, velocities
 //! and accelerations tick by tick, every limit checked).
 
 mod plan;
@@ -25,14 +25,6 @@ struct Point {
     twist: Twist,
     /// m/s² and rad/s².
     rate: Twist,
-}
-
-/// A move from rest to rest.
-#[derive(Clone, Debug, PartialEq)]
-struct Curve {
-    from: Placement,
-    duration_s: f64,
-    shape: Shape,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +66,7 @@ fn via(from: &Placement, points: &[Placement], duration_s: f64) -> Result<Shape,
     Ok(Shape::Via(ViaPath::through(&steps, duration_s)))
 }
 
-impl Curve {
+impl Move {
     fn end(&self) -> Placement {
         self.at(self.duration_s).pose
     }
@@ -242,7 +234,9 @@ struct Move {
     kind: &'static str,
     /// Points of the file on its way.
     points: Vec<Placement>,
-    curve: Curve,
+    from: Placement,
+    duration_s: f64,
+    shape: Shape,
 }
 
 /// Longest move, s: an hour of ticks is 3.6 million rows.
@@ -300,17 +294,15 @@ fn parse(text: &str) -> Result<Path, Refusal> {
             _ => return Err(Refusal::of(at, "give exactly one of line, circle, via")),
         };
         let shape = shape.map_err(|problem| Refusal::of(format!("{at}.{kind}"), problem))?;
-        let curve = Curve {
+        let step = Move {
+            kind,
+            points,
             from,
             duration_s,
             shape,
         };
-        pose = curve.end();
-        moves.push(Move {
-            kind,
-            points,
-            curve,
-        });
+        pose = step.end();
+        moves.push(step);
     }
     Ok(Path {
         tool,

@@ -44,7 +44,7 @@ pub fn plan<const N: usize>(
     }
     let mut total_s = 0.0;
     let end_s = |step: &Move| {
-        total_s += step.curve.duration_s;
+        total_s += step.duration_s;
         total_s
     };
     let ends: Vec<f64> = path.moves.iter().map(end_s).collect();
@@ -56,8 +56,8 @@ pub fn plan<const N: usize>(
         let number = ends.partition_point(|end| *end < t_s);
         let number = number.min(path.moves.len() - 1);
         let step = &path.moves[number];
-        let begun = ends[number] - step.curve.duration_s;
-        let point = step.curve.at(t_s - begun);
+        let begun = ends[number] - step.duration_s;
+        let point = step.at(t_s - begun);
         let here = name(number, step);
         let state = at(&inverse, &point, &predicted)
             .map_err(|reason| refused(format!("{here} at {t_s:.3} s"), &point.pose, reason))?;
@@ -103,7 +103,7 @@ fn waypoints(path: &Path) -> Vec<(String, Placement)> {
     for (number, step) in path.moves.iter().enumerate() {
         let name = name(number, step);
         if step.points.is_empty() {
-            all.push((format!("{name}, end"), step.curve.end()));
+            all.push((format!("{name}, end"), step.end()));
         }
         let points = (1..).zip(&step.points);
         all.extend(points.map(|(point, pose)| (format!("{name}, point {point}"), *pose)));
@@ -141,11 +141,11 @@ mod tests {
             let bent = (bend - now.qdd).amax();
             assert!(bent < 0.05, "{t_s}: {bent}");
             let (mut left, mut number) = (*t_s, 0);
-            while number + 1 < path.moves.len() && left > path.moves[number].curve.duration_s {
-                left -= path.moves[number].curve.duration_s;
+            while number + 1 < path.moves.len() && left > path.moves[number].duration_s {
+                left -= path.moves[number].duration_s;
                 number += 1;
             }
-            let target = path.moves[number].curve.at(left).pose;
+            let target = path.moves[number].at(left).pose;
             let there = chain.forward(&now.q);
             worst = worst
                 .max((there.origin - target.origin).amax())
@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn a_circle_keeps_its_radius_and_carries_the_tool_when_asked() {
         let path = parse(&PATH.replace("carry = false", "carry = true")).expect("parses");
-        let curve = &path.moves[1].curve;
+        let curve = &path.moves[1];
         let centre = Vector3::new(-0.45, 0.15, 0.3);
         for k in 0..=100 {
             let point = curve.at(0.03 * f64::from(k));
