@@ -111,12 +111,13 @@ fn learning(report: &DemoReport) -> Section {
     let curve = Curve::new(AFTER, &report.learning_curve, |p| {
         (p.t_s, 100.0 * p.torque_nrmse)
     });
-    let panel = Panel::new(
+    let mut panel = Panel::new(
         "torque error, all joints",
         "time of learning / s",
         "NRMSE / %",
         vec![curve],
     );
+    panel.from_zero = true;
     Section::new(
         "Error while it learns",
         format!(
@@ -126,7 +127,7 @@ fn learning(report: &DemoReport) -> Section {
         ),
     )
     .legend([(AFTER, "active model on the board")])
-    .plots([panel.from_zero()], 1)
+    .plots([panel], 1)
 }
 
 /// Time until the error is half of its first value, as words.

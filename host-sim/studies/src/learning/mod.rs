@@ -265,7 +265,9 @@ fn page(report: &LearningReport, world: &[WorldArm]) -> Page {
         .map(|scenario| {
             let title = format!("{} {}", scenario.arm, scenario.scenario);
             let curve = Curve::new(PlotColor::After, &scenario.curve, |point| *point);
-            Panel::new(&title, "t / s", "error over start", vec![curve]).from_zero()
+            let mut panel = Panel::new(&title, "t / s", "error over start", vec![curve]);
+            panel.from_zero = true;
+            panel
         });
     let panels: Vec<Panel> = panels.collect();
     let figures = report.scenarios.iter().flat_map(|scenario| {

@@ -145,11 +145,6 @@ impl Emulator {
         Ok(status.is_some_and(|status| status.success()))
     }
 
-    /// Where the board's bytes come from.
-    fn receiving_end(&self) -> &OwnedFd {
-        self.from_board.as_ref().unwrap_or(&self.to_board)
-    }
-
     /// Why the link is gone: nearly always because the emulator is.
     fn broken(&mut self, error: nix::Error) -> io::Error {
         match self.process.ended(EXIT_WAIT) {
@@ -196,7 +191,7 @@ impl Transport for Emulator {
             return Ok(count);
         }
         loop {
-            let end = self.receiving_end();
+            let end = self.from_board.as_ref().unwrap_or(&self.to_board);
             // Bytes, or the end of them.
             if !ready(end.as_fd(), PollFlags::POLLIN, timeout)? {
                 return Ok(0);

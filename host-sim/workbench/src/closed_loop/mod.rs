@@ -132,7 +132,11 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         if let Some((stage, motion)) = excited {
             // The board chose what the arm shall do in the next tick.
             record.stage = Some(stage);
-            self.desired = motion_f64(&motion);
+            self.desired = State {
+                q: motion.q.cast(),
+                qd: motion.qd.cast(),
+                qdd: motion.qdd.cast(),
+            };
         }
         Ok(record)
     }
@@ -179,15 +183,6 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         self.desired = next;
         self.tick += 1;
         Ok(record)
-    }
-}
-
-/// A motion as the board asks for it.
-fn motion_f64<const N: usize>(motion: &JointMotion<N>) -> State<N> {
-    State {
-        q: motion.q.cast(),
-        qd: motion.qd.cast(),
-        qdd: motion.qdd.cast(),
     }
 }
 

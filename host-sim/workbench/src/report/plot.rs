@@ -70,12 +70,6 @@ impl Panel {
         }
     }
 
-    /// Starts the y axis at zero.
-    pub fn from_zero(mut self) -> Self {
-        self.from_zero = true;
-        self
-    }
-
     /// One panel over time for each of so many joints.
     pub fn of_joints(
         joints: usize,

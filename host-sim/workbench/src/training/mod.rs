@@ -108,10 +108,10 @@ const RATE: f64 = 3e-3;
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlackBox {
     network: TrainingNetwork,
-    centre: Vec<f64>,
-    spread: Vec<f64>,
-    torque_centre: PerJoint<f64>,
-    torque_spread: PerJoint<f64>,
+    /// Means and spreads of the inputs.
+    inputs: Vec<(f64, f64)>,
+    /// Means and spreads of the torques, N·m.
+    torques: PerJoint<(f64, f64)>,
     /// RMSE of each epoch over the spread of the torques, a ratio.
     pub losses: Vec<f64>,
 }
@@ -128,17 +128,12 @@ impl BlackBox {
         let rows: Vec<_> = even_sample(rows, ROWS).collect();
         let inputs: Vec<Vec<f64>> = rows.iter().map(|(state, ..)| raw_inputs(state)).collect();
         let joints = rows.first().map_or(1, |(motion, ..)| motion.q.len());
-        let of_inputs = (0..3 * joints).map(|i| moments(inputs.iter().map(|x| x[i])));
-        let (centre, spread) = of_inputs.unzip();
-        let torques = PerJoint::from_fn(joints, |joint| {
-            moments(rows.iter().map(|(_, tau, _)| tau[joint]))
-        });
+        let of_input = |i: usize| moments(inputs.iter().map(|x| x[i]));
+        let of_torque = |joint: usize| moments(rows.iter().map(|(_, tau, _)| tau[joint]));
         let mut out = Self {
             network: TrainingNetwork::silent(3 * joints, HIDDEN, joints, seed),
-            centre,
-            spread,
-            torque_centre: torques.map(|(centre, _)| centre),
-            torque_spread: torques.map(|(_, spread)| spread),
+            inputs: (0..3 * joints).map(of_input).collect(),
+            torques: PerJoint::from_fn(joints, of_torque),
             losses: Vec::new(),
         };
         let inputs: Vec<Vec<f64>> = inputs.iter().map(|x| out.scaled(x)).collect();
@@ -158,8 +153,8 @@ impl BlackBox {
                     let (mut a, mut e) = ([0.0; HIDDEN], PerJoint::repeat(joints, 0.0));
                     out.network.forward(&inputs[row], &mut a, &mut e);
                     for joint in 0..joints {
-                        let target =
-                            (tau[joint] - out.torque_centre[joint]) / out.torque_spread[joint];
+                        let (centre, spread) = out.torques[joint];
+                        let target = (tau[joint] - centre) / spread;
                         e[joint] = f64::from(moving[joint]) * (e[joint] - target);
                         sum += e[joint] * e[joint];
                         count += f64::from(moving[joint]);
@@ -185,20 +180,19 @@ impl BlackBox {
 
     /// Torques at `state`, N·m.
     pub fn torque(&self, state: &Motion) -> PerJoint<f64> {
-        let (mut a, mut y) = ([0.0; HIDDEN], self.torque_centre);
-        self.network
-            .forward(&self.scaled(&raw_inputs(state)), &mut a, &mut y);
-        PerJoint::from_fn(y.len(), |joint| {
-            self.torque_centre[joint] + self.torque_spread[joint] * y[joint]
+        let joints = self.torques.len();
+        let (mut a, mut y) = ([0.0; HIDDEN], PerJoint::repeat(joints, 0.0));
+        let x = self.scaled(&raw_inputs(state));
+        self.network.forward(&x, &mut a, &mut y);
+        PerJoint::from_fn(joints, |joint| {
+            let (centre, spread) = self.torques[joint];
+            centre + spread * y[joint]
         })
     }
 
     fn scaled(&self, x: &[f64]) -> Vec<f64> {
-        let scales = self.centre.iter().zip(&self.spread);
-        let scaled = x
-            .iter()
-            .zip(scales)
-            .map(|(x, (centre, spread))| (x - centre) / spread);
+        let scaled = x.iter().zip(&self.inputs);
+        let scaled = scaled.map(|(x, (centre, spread))| (x - centre) / spread);
         scaled.collect()
     }
 }

@@ -111,11 +111,8 @@ pub struct BoardCost {
 }
 
 impl From<Cost> for BoardCost {
-    fn from(cost: Cost) -> Self {
-        Self {
-            mean: cost.mean,
-            max: cost.max,
-        }
+    fn from(Cost { mean, max }: Cost) -> Self {
+        Self { mean, max }
     }
 }
 
