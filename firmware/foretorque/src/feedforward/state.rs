@@ -40,8 +40,7 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub(super) learned: JointVector<N>,
     /// The learnt part of the last tick does not count in the next: of other parameters, or too old.
     pub(super) fresh: bool,
-    /// The active set becomes the committed one at the end of the next tick with a sample, which compares the two.
-    pub(super) committing: bool,
+    pub(super) committing: Committing,
     pub(super) last: Torque<N>,
     pub(super) stale_ticks: u32,
     /// Number of the last load.
@@ -51,6 +50,17 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     /// Rounds to come in which no set is due yet.
     pub(super) rounds_without_set: u32,
     pub(super) adoption: Flags,
+}
+
+/// Progress of a commit, by which the active set becomes the committed one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Committing {
+    /// No commit.
+    No,
+    /// Waits for a tick with a sample, which compares the two sets.
+    Compare,
+    /// Compared; the set is copied before the next tick, so that no tick lasts longer for it.
+    Copy,
 }
 
 /// Rounds after a load in which no set is due: the first may be cut short, and the next then closes too late.
@@ -75,7 +85,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             committed_difference: Difference::none(),
             learned: JointVector::zeros(),
             fresh: true,
-            committing: false,
+            committing: Committing::No,
             last: Torque::zero(),
             stale_ticks: 0,
             generation: 0,
@@ -108,7 +118,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.payload.fill(0.0);
         self.range = LearntRange::none();
         self.fresh = true;
-        self.committing = false;
+        self.committing = Committing::No;
         self.active = *set;
         self.committed = *set;
         self.active_difference = Difference::none();
@@ -169,7 +179,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 
     /// The committed set and its difference from the loaded one, also while the active set waits to become it.
     fn fallback(&self) -> (&ParameterSet<N, P>, &Difference<N, P>) {
-        if self.committing {
+        if self.committing != Committing::No {
             (&self.active, &self.active_difference)
         } else {
             (&self.committed, &self.committed_difference)
@@ -178,7 +188,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 
     /// Make what is active the fallback, and the centre of the bound on learnt change.
     pub(super) fn commit(&mut self) {
-        self.committing = false;
+        self.committing = Committing::No;
         self.committed = self.active;
         self.committed_difference = self.active_difference;
     }

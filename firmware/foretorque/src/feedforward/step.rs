@@ -1,6 +1,6 @@
 use super::model::{AtSpeed, TickMotion};
 use super::shares::{Shares, select};
-use super::state::FeedForwardState;
+use super::state::{Committing, FeedForwardState};
 use super::{FeedForwardConfig, Torque};
 use crate::arm::Arm;
 use crate::dynamics::{Pose, cogging, rnea_of};
@@ -61,6 +61,9 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
     scratch: &mut FeedForwardScratch<N>,
     sample: &JointSample<N>,
 ) -> &'a Torque<N> {
+    if state.committing == Committing::Copy {
+        state.commit();
+    }
     let mut flags = Flags::when(sample.measured.is_none(), Flags::NO_MEASUREMENT);
     let motion = &mut scratch.motion;
     if !motion.take(config, &state.range, &sample.desired, &mut flags) {
@@ -125,11 +128,11 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         shares.friction[joint] = selected.shares.friction;
         shares.network[joint] = selected.shares.network;
     }
-    if state.committing {
+    if state.committing == Committing::Compare {
         // The next tick measures from the active set, and the torque goes on from where it is: both of one motion.
         let active = state.last.shares.total() - state.payload_torque;
         state.learned = scratch.sum - active;
-        state.commit();
+        state.committing = Committing::Copy;
     }
     state.stale_ticks = 0;
     flags |= output(config, &mut state.last, &scratch.sum);
@@ -217,6 +220,9 @@ pub fn adopt<const N: usize, const P: usize>(
     state: &mut FeedForwardState<N, P>,
     exchange: &mut Exchange<N, P>,
 ) {
+    if state.committing == Committing::Copy {
+        state.commit();
+    }
     let rounds = N as u32;
     if state.tick % rounds != rounds / 2 {
         return;
@@ -230,13 +236,16 @@ pub fn adopt<const N: usize, const P: usize>(
     match &exchange.published {
         // Equal, not later: ticks half the range of their counter apart have no order.
         Some(finished) if finished.generation == state.generation => {
-            if state.committing {
+            if state.committing == Committing::Compare {
                 // A round without a usable sample: nothing goes on from the tick before it.
                 state.commit();
                 state.fresh = true;
             }
             state.set_active(&finished.set, &finished.share);
-            state.committing = finished.commit;
+            state.committing = match finished.commit {
+                true => Committing::Compare,
+                false => Committing::No,
+            };
             state.payload = finished.payload;
             state.range.set(&finished.range);
             state.report = finished.report;

@@ -109,7 +109,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             Action::Release => state.release_payload(&self.config),
             Action::Relearn => {
                 let supervisor = &mut state.supervisor;
-                supervisor.next_raised = 0;
                 // The change under a payload is learnt.
                 let carried = supervisor.blocks_carried;
                 supervisor.blocks_carried = carried.max(self.config.supervisor.pause_blocks);
@@ -183,7 +182,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let moves = core::mem::take(&mut state.moves);
         let known = !restored && state.round_steps.iter().all(Option::is_some);
         if state.phase().learns() && known {
-            state.raise_friction_variance(self.config.supervisor.raised_variance);
+            if state.phase() == Phase::Relearning {
+                state.raise_friction_variance(self.config.supervisor.raised_variance);
+            }
             let shares = self.shares();
             let supervisor = &self.state.supervisor;
             let learnt = &supervisor.learnt.evidence;
@@ -323,14 +324,13 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         self.restore();
     }
 
-    /// Raise the variance of one friction parameter a round, after a change that is no payload.
+    /// Raise the variance of one friction parameter a round, in turn for as long as relearning lasts: the change may end as it
+    /// began.
     fn raise_friction_variance(&mut self, variance: f32) {
         let index = self.supervisor.next_raised;
-        if index < N * FRICTION_COLUMNS {
-            let (joint, column) = (index / FRICTION_COLUMNS, index % FRICTION_COLUMNS);
-            self.estimate.raise_variance(joint, column, variance);
-            self.supervisor.next_raised = index + 1;
-        }
+        let (joint, column) = (index / FRICTION_COLUMNS, index % FRICTION_COLUMNS);
+        self.estimate.raise_variance(joint, column, variance);
+        self.supervisor.next_raised = (index + 1) % (N * FRICTION_COLUMNS);
     }
 
     /// Update payload, information and trust of the report.

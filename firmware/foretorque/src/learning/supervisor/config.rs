@@ -42,7 +42,7 @@ pub struct SupervisorConfig {
     /// Ticks between two checkpoints, 12.8 blocks, which are 0.128 s; an alarm returns to one between one and two such times old,
     /// which is longer than the delay of change detection.
     pub checkpoint_ticks: u32,
-    /// Variance added to each friction parameter after a change that is no payload, in units of the prior variance.
+    /// Variance added to each friction parameter in a turn of relearning, in units of the prior variance.
     pub raised_variance: f32,
     /// Blocks under a payload after which the estimate is updated again: 30 s, in which drives warm up.
     pub pause_blocks: u32,

@@ -74,7 +74,7 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     pub(super) loaded: LinearParameters<N, P>,
     pub(super) learnt: Learnt<N, P>,
     pub(super) state: SupervisorState,
-    /// Next friction column whose variance is raised at the begin of relearning.
+    /// Next friction column whose variance is raised in relearning.
     pub(super) next_raised: usize,
 }
 
@@ -109,7 +109,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             loaded: zero,
             learnt: Learnt::new(&zero),
             state: SupervisorState::START,
-            next_raised: usize::MAX,
+            next_raised: 0,
         }
     }
 

@@ -8,7 +8,7 @@ use foretorque::arm::panda::{self, Panda};
 use foretorque::dynamics::{
     BaseParameters, FrictionColumn, FrictionParameters, friction, regressor, regressor_row, rnea,
 };
-use foretorque::feedforward::{FeedForward, FeedForwardConfig};
+use foretorque::feedforward::{FeedForward, FeedForwardConfig, evaluate};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{Exchange, LearnerConfig, LearningSample, ParameterSet, network_inputs};
 use foretorque::limits::Flags;
@@ -75,6 +75,8 @@ rows! {
 const PERIOD: f32 = 1e-3;
 /// Ticks before the first measured call: the motion filter of the learner, 62 ticks long, is full by then.
 const WARM_UP: u32 = 78;
+/// Torques of the arm over those of its description.
+const HEAVIER: f32 = 1.1;
 /// Bound of the noise on the measured torque, in units of the torque limit.
 const NOISE: f32 = 0.01;
 
@@ -247,9 +249,9 @@ impl Stage {
 
         let tick = self.learning_sample.tick.wrapping_add(1);
         let wave = wave(tick);
-        let mut tau = wave.q;
+        let mut tau = HEAVIER * evaluate::<Arm, JOINTS, PARAMETERS>(&self.set, &wave).total;
         for (tau, limits) in tau.iter_mut().zip(&Arm::LIMITS) {
-            *tau = limits.torque * (0.2 * *tau + random.within(NOISE));
+            *tau += limits.torque * random.within(NOISE);
         }
         let measured = Some(JointMeasurement { q: wave.q, tau });
         self.sample = JointSample {
