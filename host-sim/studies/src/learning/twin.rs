@@ -30,6 +30,8 @@ const VARIANCE_GAIN: f64 = 2.3;
 const FIRST_ROWS: f64 = 4.0;
 const NOTICED_ROWS: f64 = VARIANCE_GAIN / (VARIANCE_STEP - 1.0);
 
+/// Distance from a limit within which rounding may decide, standard deviations.
+const BORDER: f64 = 1e-3;
 /// Sweeps of Hildreth's method.
 const SWEEPS: usize = 200;
 
@@ -82,8 +84,17 @@ impl Twin {
     }
 
     /// Takes in the torque `tau` of `joint` with its row, as the estimator does:
-    /// `P ← P − P φ φᵀ P / S`, `θ ← θ + P φ clip(e) / S`, then the bounds by way of P.
-    pub(super) fn correct(&mut self, joint: usize, row: &LinearParameters<N, P>, tau: f32) {
+    /// `P ← P − P φ φᵀ P / S` unless e is clipped, `θ ← θ + P φ clip(e) / S`, then the bounds by way of P.
+    ///
+    /// * `taken` the estimator has raised its variance, and has changed its P: it decides where rounding may put e on either side
+    ///   of the median or of the clip
+    pub(super) fn correct(
+        &mut self,
+        joint: usize,
+        row: &LinearParameters<N, P>,
+        tau: f32,
+        taken: [bool; 2],
+    ) {
         let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
         let unit = f64::from(self.config.noise * limit);
         let raw = wide(row);
@@ -108,15 +119,26 @@ impl Twin {
         let s = phi.dot(&spread) + self.variance[joint];
         let total =
             phi.dot(&spread) + f64::from(self.config.noise_inflation) * self.variance[joint];
-        self.covariance.ger(-1.0 / total, &spread, &spread, 1.0);
         let z = innovation / s.sqrt();
+        let [risen, informed] = taken;
+        let beyond = |limit: f64, decided: bool| match z.abs() - limit {
+            distance if distance.abs() < BORDER => decided,
+            distance => distance > 0.0,
+        };
+        if !beyond(self.config.outlier_sigmas.into(), !informed) {
+            self.covariance.ger(-1.0 / total, &spread, &spread, 1.0);
+        }
         let (variance, noticed) = (&mut self.variance[joint], &mut self.noticed[joint]);
         let mut step = VARIANCE_STEP;
         if *noticed < NOTICED_ROWS {
             *noticed += *variance / s;
             step = 1.0 + VARIANCE_GAIN * *variance / s / *noticed;
         }
-        *variance *= if z.abs() > MEDIAN { step } else { 1.0 / step };
+        *variance *= if beyond(MEDIAN, risen) {
+            step
+        } else {
+            1.0 / step
+        };
         *variance = variance.clamp(VARIANCE_RANGE.0, VARIANCE_RANGE.1);
         let most = f64::from(self.config.outlier_sigmas) * s.sqrt();
         let step = innovation.clamp(-most, most) / total;
@@ -179,9 +201,15 @@ pub(super) fn twin(
         {
             let row = torque_row::<Ur5, N, P>(joint, &seen);
             let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
-            let taken = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
-            if taken.is_some() {
-                twin.correct(joint, &row, seen.tau[joint]);
+            let before = (
+                estimator.variance()[joint],
+                estimator.filter().diagonal().rigid,
+            );
+            let corrected = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
+            let risen = estimator.variance()[joint] > before.0;
+            let informed = estimator.filter().diagonal().rigid != before.1;
+            if corrected.is_some() {
+                twin.correct(joint, &row, seen.tau[joint], [risen, informed]);
                 rows += 1;
             }
         }
