@@ -307,8 +307,9 @@ fn a_lost_sample_acts_as_a_tick_without_sample() {
     assert!(timed.board.learner.state() == linked.board.learner.state());
     let seen = timed.board.learner.state().statistics;
     assert!(seen.accepted > 400, "{seen:?}");
-    let stale = linked.board.statistics().stale_ticks;
-    assert_eq!(stale, lost.len() as u32);
+    let [by_timer, by_link] = [&timed, &linked].map(|it| it.board.statistics());
+    assert_eq!(by_link.stale_ticks, lost.len() as u32);
+    assert_eq!(by_link.ticks, by_timer.ticks);
 }
 
 #[test]

@@ -362,6 +362,17 @@ mod tests {
         state.phase = Phase::PayloadTest;
         let refusal = payload(PayloadDecision::Refuse(Reason::Residual, 0.9));
         state = step(&config(), &state, refusal).state;
+        // Rounds at rest do not count.
+        for _ in 0..5000 {
+            let Evidence::Round(moving) = round(0.5, false, false) else {
+                unreachable!()
+            };
+            let rest = Evidence::Round(Round {
+                moves: false,
+                ..moving
+            });
+            state = step(&config(), &state, rest).state;
+        }
         let mut rounds = 0;
         while state.phase == Phase::Relearning {
             let next = step(&config(), &state, round(0.5, false, false));
