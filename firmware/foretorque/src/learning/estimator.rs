@@ -262,18 +262,14 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         let correlation = self.correlation.get_mut(joint)?;
         let inflated = config.noise_inflation * *measured;
         let f = self.filter.transposed_times(joint, &phi);
-        let predicted = self.filter.squared(joint, &f);
+        let predicted = self.filter.variance_of(joint, &f);
         let noise = *measured;
         let variance = predicted + noise;
+        let sigma_innovation = sqrt(variance);
+        let (clipped, is_clipped) = cut(innovation, config.outlier_sigmas * sigma_innovation);
         // P loses information in proportion to the derivative of the step, which is zero where it is clipped [Masreliez 1975].
-        // Otherwise friction far beyond its prior would seem to be known, and stay wrong.
-        let most = config.outlier_sigmas * config.outlier_sigmas * variance;
-        let square = innovation * innovation;
-        let of_row = if square <= most {
-            inflated
-        } else {
-            f32::INFINITY
-        };
+        // Otherwise the variance of friction far beyond its prior falls too fast, and the estimate stays wrong.
+        let of_row = if is_clipped { f32::INFINITY } else { inflated };
         self.filter.update_joint(joint, &phi, f, of_row, &mut gain);
         if !(variance > 0.0 && variance <= f32::MAX) {
             // The factors are lost; the covariance returns to the prior, the estimate stays.
@@ -281,12 +277,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             self.factors_added = 0;
             return None;
         }
-        let beyond = square > MEDIAN_SQUARED * variance;
+        let beyond = innovation * innovation > MEDIAN_SQUARED * variance;
         update_variance(measured, effective_rows, variance, beyond);
-        let sigma_innovation = sqrt(variance);
         let z = innovation / sigma_innovation;
         correlation.add(z, noise / variance, config.block_rows());
-        let (clipped, _) = cut(innovation, config.outlier_sigmas * sigma_innovation);
         let mut step = clipped / (predicted + inflated);
         self.bound(sigma, joint, &mut gain, &mut step);
         self.move_by(sigma, &gain, step);

@@ -18,7 +18,7 @@ pub(super) fn page(report: &DemoReport, curves: &DemoCurves, excitation: &Excita
     let error = &report.tracking_rms_mrad;
     let lead = format!(
         "A {robot} whose model is wrong about its masses, inertias and friction moves for {learning_s:.0} s; the firmware learns the \
-         difference tick by tick, is frozen, and then meets a path it has never seen. Arm and noise are simulated, the \
+         difference tick by tick, is frozen, and is then judged on a path that it did not learn from. Arm and noise are simulated, the \
          torque comes from the firmware's own code."
     );
     let mut page = Page::new(format!("foretorque: {robot} learns its torque"), lead)

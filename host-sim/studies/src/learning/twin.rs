@@ -201,13 +201,11 @@ pub(super) fn twin(
         {
             let row = torque_row::<Ur5, N, P>(joint, &seen);
             let limit = <Ur5 as Arm<N, P>>::LIMITS[joint].torque;
-            let before = (
-                estimator.variance()[joint],
-                estimator.filter().diagonal().rigid,
-            );
+            let variance = estimator.variance()[joint];
+            let diagonal = estimator.filter().diagonal().rigid;
             let corrected = estimator.correct(&config, joint, limit, &row, seen.tau[joint]);
-            let risen = estimator.variance()[joint] > before.0;
-            let informed = estimator.filter().diagonal().rigid != before.1;
+            let risen = estimator.variance()[joint] > variance;
+            let informed = estimator.filter().diagonal().rigid != diagonal;
             if corrected.is_some() {
                 twin.correct(joint, &row, seen.tau[joint], [risen, informed]);
                 rows += 1;

@@ -269,18 +269,15 @@ macro_rules! image {
 
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
-                let statics = cx.local.statics;
-                let (mailboxes, wire, tick, learner, idle) =
-                    start::<$board>(cx.device, cx.core, statics);
-                (
-                    Shared { mailboxes },
-                    Local {
-                        wire,
-                        tick,
-                        learner,
-                        idle,
-                    },
-                )
+                let started = start::<$board>(cx.device, cx.core, cx.local.statics);
+                let local = Local {
+                    wire: started.wire,
+                    tick: started.tick,
+                    learner: started.learner,
+                    idle: started.idle,
+                };
+                let mailboxes = started.mailboxes;
+                (Shared { mailboxes }, local)
             }
 
             #[task(binds = USART2, priority = 5, local = [wire])]

@@ -53,14 +53,19 @@ impl Statics {
     }
 }
 
-/// Parts of a started board: what tick, learner and idle loop share, and the own part of link, tick, learner and idle loop.
-pub type Started<B> = (
-    &'static mut BoardMailboxes,
-    Wire,
-    Tick<B>,
-    &'static mut Learner,
-    Idle,
-);
+/// The parts of a started board, one for each task.
+pub struct Started<B: Board> {
+    /// Shared by tick, learner and idle loop.
+    pub mailboxes: &'static mut BoardMailboxes,
+    /// Of the link's interrupt.
+    pub wire: Wire,
+    /// Of the tick.
+    pub tick: Tick<B>,
+    /// Of the learner.
+    pub learner: &'static mut Learner,
+    /// Of the idle loop.
+    pub idle: Idle,
+}
 
 /// Starts clocks, pins, session, learner and link; leaves by a reset if a constant of the board cannot work.
 #[inline(always)]
@@ -189,5 +194,11 @@ pub fn start<B: Board>(
         housekeeping,
         drain,
     };
-    (mailboxes, wire, tick, learner, idle)
+    Started {
+        mailboxes,
+        wire,
+        tick,
+        learner,
+        idle,
+    }
 }

@@ -272,7 +272,7 @@ fn frictionless(
 
 #[test]
 fn friction_far_beyond_its_prior_is_learnt_in_a_second_of_rows() {
-    // Joint 1 moves one way for a second, then the other way: only that tells friction and offset apart.
+    // Joint 1 moves one way for a second, then the other way: without a reversal, friction and offset are one.
     let (config, joint) = (LearnerConfig::<N, P>::for_arm::<Ur5>(1e-3), 1);
     let limit = Ur5::LIMITS[joint].torque;
     let mut truth = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1));

@@ -364,14 +364,14 @@ mod tests {
         state = step(&config(), &state, refusal).state;
         // Rounds at rest do not count.
         for _ in 0..5000 {
-            let Evidence::Round(moving) = round(0.5, false, false) else {
-                unreachable!()
-            };
-            let rest = Evidence::Round(Round {
+            let rest = Round {
+                ticks: 6,
                 moves: false,
-                ..moving
-            });
-            state = step(&config(), &state, rest).state;
+                share: 0.5,
+                reversed: false,
+                carries_payload: false,
+            };
+            state = step(&config(), &state, Evidence::Round(rest)).state;
         }
         let mut rounds = 0;
         while state.phase == Phase::Relearning {

@@ -37,12 +37,12 @@ impl<const N: usize, const P: usize> UdFilter<N, P> {
         joint: usize,
         phi: &JointEntries<P>,
     ) -> f32 {
-        self.squared(joint, &self.transposed_times(joint, phi))
+        self.variance_of(joint, &self.transposed_times(joint, phi))
     }
 
-    /// Square Σ D_j f_j² of f = Uᵀφ for a row φ of `joint`.
+    /// Prediction variance φᵀPφ of the torque of `joint`, for f = Uᵀφ of its row; NaN if there is no such joint.
     #[inline(never)]
-    pub(in crate::learning) fn squared(&self, joint: usize, f: &JointEntries<P>) -> f32 {
+    pub(in crate::learning) fn variance_of(&self, joint: usize, f: &JointEntries<P>) -> f32 {
         let Some(diagonal) = self.diagonal.friction.get(joint) else {
             return f32::NAN;
         };
