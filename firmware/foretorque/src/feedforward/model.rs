@@ -235,6 +235,20 @@ impl AtSpeed {
 }
 
 impl<const N: usize, const P: usize> Difference<N, P> {
+    /// Friction in the torque, with `loaded` as the loaded one.
+    pub(super) fn friction_over(
+        &self,
+        loaded: &[FrictionParameters; N],
+    ) -> [FrictionParameters; N] {
+        let mut friction = *loaded;
+        for (friction, difference) in friction.iter_mut().zip(&self.friction) {
+            for (value, difference) in friction.0.iter_mut().zip(&difference.0) {
+                *value += difference;
+            }
+        }
+        friction
+    }
+
     /// Shares of `joint` of a set that differs from the loaded one by `self`: the loaded set's `rigid` and `friction` for
     /// the desired motion, plus the learnt difference for the motion inside the learnt range.
     ///

@@ -12,7 +12,7 @@ use crate::limits::Flags;
 /// State between ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardState<const N: usize, const P: usize> {
-    /// The single set nearest to the torque: loaded and learnt parameters by their shares.
+    /// Single set for reports and storage: loaded and learnt parameters by their shares.
     pub active: ParameterSet<N, P>,
     /// The fallback; see [`committed`](Self::committed).
     pub(super) committed: ParameterSet<N, P>,
@@ -132,6 +132,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     pub fn torque<A: Arm<N, P>>(&self, motion: &JointMotion<N>) -> JointVector<N> {
         let mut set = self.active;
         set.rigid = self.loaded.rigid + self.payload;
+        set.friction = self.active_difference.friction_over(&self.loaded.friction);
         let mut torque = evaluate::<A, N, P>(&set, motion).total;
         let learnt = rnea::<A, N, P>(&self.active_difference.rigid, motion);
         for (joint, share) in self.active_difference.share.iter().enumerate() {
@@ -149,8 +150,8 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             friction: self.loaded.friction.map(|joint| joint.0),
             rigid: self.loaded.rigid.data.0[0],
         };
-        let blend = share.blend(&loaded, &LinearParameters::of(set));
-        blend.write(&mut self.active);
+        let single = share.single_set(&loaded, &LinearParameters::of(set));
+        single.write(&mut self.active);
     }
 
     /// Take out of `set`, a copy of the committed one, what was learnt since the load; a learnt network becomes silent.

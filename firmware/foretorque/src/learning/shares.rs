@@ -1,42 +1,68 @@
 //! Shares of loaded set and estimate in the torque of each joint.
 
 use super::parameters::LinearParameters;
+use crate::dynamics::FRICTION_COLUMNS;
 
 /// Part of the way from the loaded set to the learnt one that the torque takes, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearntShare<const N: usize> {
     /// Torque of each joint.
     pub joint: [f32; N],
-    /// Base parameters of a single set, which is nearest to the torques of all joints.
-    pub rigid: f32,
+    /// Rigid body of a single set for all joints.
+    pub common: f32,
 }
 
 impl<const N: usize> LearntShare<N> {
     /// Loaded set alone.
     pub const NONE: Self = Self {
         joint: [0.0; N],
-        rigid: 0.0,
+        common: 0.0,
     };
     /// Learnt set alone.
     pub const FULL: Self = Self {
         joint: [1.0; N],
-        rigid: 1.0,
+        common: 1.0,
     };
 
-    /// Single set nearest to the torques of all joints, between `loaded` and `learnt`; each of both at its share, bit for
-    /// bit.
-    pub(crate) fn blend<const P: usize>(
+    /// Single set between `loaded` and `learnt`; each of both at its share, bit for bit.
+    ///
+    /// The rigid body has the common share. Rigid body and friction make up for errors of each other, so the friction of a joint
+    /// goes at least as far: at a smaller share of its own, the torque may be worse than that of either set.
+    pub(crate) fn single_set<const P: usize>(
         &self,
         loaded: &LinearParameters<N, P>,
         learnt: &LinearParameters<N, P>,
     ) -> LinearParameters<N, P> {
         let mut set = *learnt;
-        blend(&loaded.rigid, &mut set.rigid, self.rigid);
-        let joints = loaded.friction.iter().zip(&mut set.friction);
-        for ((loaded, set), share) in joints.zip(self.joint) {
-            blend(loaded, set, share);
-        }
+        blend(&loaded.rigid, &mut set.rigid, self.common);
+        let shares = self.joint.map(|own| match own > self.common {
+            true => own,
+            false => self.common,
+        });
+        blend_friction(&loaded.friction, &mut set.friction, &shares);
         set
+    }
+
+    /// Friction in the torque of each joint, between `loaded` and `learnt`.
+    pub(super) fn friction<const P: usize>(
+        &self,
+        loaded: &LinearParameters<N, P>,
+        learnt: &LinearParameters<N, P>,
+    ) -> [[f32; FRICTION_COLUMNS]; N] {
+        let mut friction = learnt.friction;
+        blend_friction(&loaded.friction, &mut friction, &self.joint);
+        friction
+    }
+}
+
+/// Friction at the share of each joint of the way from `from` to the present one.
+fn blend_friction<const N: usize>(
+    from: &[[f32; FRICTION_COLUMNS]; N],
+    friction: &mut [[f32; FRICTION_COLUMNS]; N],
+    shares: &[f32; N],
+) {
+    for ((from, friction), share) in from.iter().zip(friction).zip(shares) {
+        blend(from, friction, *share);
     }
 }
 
@@ -315,14 +341,17 @@ mod tests {
     #[test]
     fn a_blend_at_its_ends_is_the_set_bit_for_bit() {
         let [a, b] = [0.1, 0.7].map(LinearParameters::<2, 3>::filled);
-        assert_eq!(LearntShare::FULL.blend(&a, &b), b);
-        assert_eq!(LearntShare::NONE.blend(&a, &b), a);
+        assert_eq!(LearntShare::FULL.single_set(&a, &b), b);
+        assert_eq!(LearntShare::NONE.single_set(&a, &b), a);
         let share = LearntShare {
-            joint: [0.5, 0.0],
-            rigid: 1.0,
+            joint: [1.0, 0.0],
+            common: 0.5,
         };
-        let mixed = share.blend(&a, &b);
-        assert_eq!((mixed.rigid, mixed.friction[1]), (b.rigid, a.friction[1]));
-        assert!((mixed.friction[0][3] - 0.4).abs() < 1e-6);
+        let single = share.single_set(&a, &b);
+        let halves = single.rigid.iter().chain(&single.friction[1]);
+        assert!(halves.copied().all(|value| (value - 0.4).abs() < 1e-6));
+        assert_eq!(single.friction[0], b.friction[0]);
+        let in_torque = share.friction(&a, &b);
+        assert_eq!(in_torque, [b.friction[0], a.friction[1]]);
     }
 }

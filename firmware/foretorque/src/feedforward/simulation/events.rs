@@ -503,7 +503,7 @@ fn m12_the_torque_follows_the_estimate_and_returns_to_a_loaded_set_that_is_right
             measured.tau = evaluate::<Ur5, N, P>(&prior, &sample.desired).total;
         }
         board.tick(&sample);
-        least = least.min(board.learner.state().share().rigid);
+        least = least.min(board.learner.state().share().common);
     }
     // The estimate returns to it as well.
     assert!(least < 0.25, "{least}");

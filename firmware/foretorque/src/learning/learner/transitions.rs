@@ -250,7 +250,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 blend(estimate, learnt, 1.0 - part);
             }
         }
-        learnt.share.rigid = learnt.evidence.common(&learnt.share.joint);
+        learnt.share.common = learnt.evidence.common(&learnt.share.joint);
         if !moves_set {
             // A stop must not bring the shares of before relearning back.
             state.supervisor.checkpoints[1].learnt = state.supervisor.learnt;
@@ -260,11 +260,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 }
 
 impl<const N: usize, const P: usize> LearnerState<N, P> {
-    /// Set the linear parameters of the active set by loaded set, learnt set and shares.
+    /// Set the linear parameters of the active set by loaded set, learnt set and shares, with the friction in the torque.
     fn blend(&mut self) {
         let supervisor = &self.supervisor;
         let learnt = &supervisor.learnt;
-        let active = learnt.share.blend(&supervisor.loaded, &learnt.set);
+        let (share, loaded) = (&learnt.share, &supervisor.loaded);
+        let mut active = share.single_set(loaded, &learnt.set);
+        active.friction = share.friction(loaded, &learnt.set);
         active.write(&mut self.active);
     }
 
