@@ -29,7 +29,8 @@
 //!
 //! for _tick in 0..1000 {
 //!     // From the drives: position, rad, and torque on the link side, N·m.
-//!     let measured = Some(JointMeasurement { q: JointVector::zeros(), tau: JointVector::zeros() });
+//!     let (q, tau) = (JointVector::zeros(), JointVector::zeros());
+//!     let measured = Some(JointMeasurement { q, tau });
 //!     let desired = JointMotion::zero();
 //!     feedforward.adopt(&mut exchange);
 //!     let torque = feedforward.step(&JointSample { desired, measured });
