@@ -12,7 +12,7 @@
 //! | loaded | set of the last load | tick, on load | tick: origin of the learnt change; estimate at its start; shares: rival | at every load |
 //! | estimate | linear parameters of the [`Estimator`] | estimator; supervisor, on restoration | supervisor, change detection | with every accepted row |
 //! | learnt | the estimate, in steps of bounded torque | supervisor | tick | at most once a round |
-//! | active | single set for reports and storage: loaded and learnt by the [`LearntShare`] | learner and tick | reports, `BankRead` (live) | at most once a round |
+//! | active | single set for reports and storage: loaded and learnt by the [`LearntShare`] | tick | reports, `BankRead` (live) | at most once a round |
 //! | committed | active set of the last commit | tick, on commit and load | tick: fallback, centre of the bound on learnt change; `Save` | on commit, at every load |
 //! | checkpoint | estimate, learnt set, shares, evidence and payload of one instant | supervisor, while healthy | supervisor: alarm, emergency stop, release of a payload | every 12.8 blocks; two are kept, and one from before a payload |
 //! | snapshot | copy of learnt set, shares and networks | [`Request::Snapshot`] | [`Request::Rollback`] | on request |

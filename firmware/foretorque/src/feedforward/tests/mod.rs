@@ -154,6 +154,25 @@ fn the_friction_share_sums_every_column_of_the_loaded_and_of_the_learned_set() {
 }
 
 #[test]
+fn the_torque_of_the_state_is_that_of_the_tick_at_different_shares_of_the_joints() {
+    let motion = motion(0.3);
+    let mut tick = tick(set());
+    let mut learnt = set();
+    for (joint, friction) in learnt.friction.iter_mut().enumerate() {
+        friction[FrictionColumn::Coulomb] += 0.02 * Ur5::LIMITS[joint].torque;
+    }
+    let share = LearntShare {
+        joint: core::array::from_fn(|joint| 0.2 * joint as f32),
+        common: 0.5,
+    };
+    tick.state.range.set(&WIDE);
+    tick.state.set_active(&learnt, &share);
+    let torque = settled(&mut tick, &motion).total;
+    let of_state = tick.state().torque::<Ur5>(&motion);
+    assert!((of_state - torque).amax() < 1e-4, "{of_state} {torque}");
+}
+
+#[test]
 fn the_share_of_cogging_is_that_of_the_desired_place() {
     let mut cogging = set();
     cogging.friction[1][FrictionColumn::CoggingSine] = 0.5;

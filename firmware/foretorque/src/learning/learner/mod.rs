@@ -52,7 +52,7 @@ impl LearnerStatistics {
 pub struct LearnerState<const N: usize, const P: usize> {
     /// Estimate of the linear parameters.
     pub estimate: Estimator<N, P>,
-    /// Active set at the end of the round: linear parameters between those of loaded and learnt set, and promoted networks.
+    /// Friction and networks in the torque at the end of the round; the rigid body is the loaded one.
     pub active: ParameterSet<N, P>,
     /// Range of motion of the used rows.
     pub range: MotionRange<N>,

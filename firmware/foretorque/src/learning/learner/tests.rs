@@ -401,7 +401,7 @@ fn a_rollback_restores_the_snapshot_bit_for_bit() {
     let before = learner.state.active;
     request_at(&mut learner, 201, Request::Snapshot, Reason::SnapshotTaken);
     learn_ticks(&mut learner, 201..1200, true);
-    learner.state.active.rigid[0] += 0.1;
+    learner.state.active.friction[0].0[0] += 0.1;
     request_at(&mut learner, 1200, Request::Rollback, Reason::RolledBack);
     assert_eq!(learner.state.active, before);
 }

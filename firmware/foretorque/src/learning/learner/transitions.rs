@@ -2,7 +2,7 @@
 
 use super::{Learner, LearnerState};
 use crate::arm::Arm;
-use crate::dynamics::FRICTION_COLUMNS;
+use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 use crate::learning::change_detection::ChangeDetector;
 use crate::learning::conditioning::TAPS;
 use crate::learning::config::LearnerConfig;
@@ -260,14 +260,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 }
 
 impl<const N: usize, const P: usize> LearnerState<N, P> {
-    /// Set the linear parameters of the active set by loaded set, learnt set and shares, with the friction in the torque.
+    /// Set the friction in the torque by loaded set, learnt set and shares.
     fn blend(&mut self) {
         let supervisor = &self.supervisor;
         let learnt = &supervisor.learnt;
-        let (share, loaded) = (&learnt.share, &supervisor.loaded);
-        let mut active = share.single_set(loaded, &learnt.set);
-        active.friction = share.friction(loaded, &learnt.set);
-        active.write(&mut self.active);
+        let friction = learnt.share.friction(&supervisor.loaded, &learnt.set);
+        self.active.friction = friction.map(FrictionParameters);
     }
 
     /// Return estimate, learnt set and shares to the older checkpoint, bit for bit.
