@@ -185,6 +185,18 @@ impl<const P: usize> JointEntries<P> {
         dot(&self.rigid, &parameters.rigid)
     }
 
+    /// Torque of `joint` by the change from the parameters `from` to those of `to`, N·m.
+    #[inline(never)]
+    pub(super) fn change<const N: usize>(
+        &self,
+        joint: usize,
+        from: &LinearParameters<N, P>,
+        to: &LinearParameters<N, P>,
+    ) -> f32 {
+        self.friction_dot(joint, to) - self.friction_dot(joint, from) + self.rigid_dot(to)
+            - self.rigid_dot(from)
+    }
+
     /// Entries in units of the standard deviations `own` and `rigid` and of the noise.
     #[inline(never)]
     pub(super) fn scaled(

@@ -250,7 +250,7 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         }
     };
     let (ticks, clipped) = (board.ticks, board.clipped);
-    let rows_accepted = board.learner.state().statistics.accepted;
+    let statistics = board.learner.state().statistics;
     let decisions = board.decisions.clone();
     let reference = match logs.columns {
         Some(columns) => format!("wls, {columns}, {others}"),
@@ -288,7 +288,8 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         learned_clipped_ticks_count: clipped,
         torque_at_30_rad_s2_over_limit_ratio: board.extrapolated(),
         ticks_count: ticks,
-        rows_accepted_count: rows_accepted,
+        rows_accepted_count: statistics.accepted,
+        rows_paused_count: statistics.frozen,
         paths,
     };
     Ok(record::outcome(report))

@@ -99,6 +99,8 @@ pub struct ReplayReport {
     pub ticks_count: u32,
     /// Rows learnt from.
     pub rows_accepted_count: u32,
+    /// Rows on which the estimate paused: under a payload, or while there was evidence for one.
+    pub rows_paused_count: u32,
     /// Path by path.
     pub paths: Vec<PathScores>,
 }
@@ -195,7 +197,11 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
     });
     let worst = format!("{label:<56} {worst} × {start}{place}\n");
     let decisions = format!("decisions  {}\n", decision_line(&report.decisions));
-    let few = too_few_rows(report.rows_accepted_count, report.ticks_count);
+    let few = too_few_rows(
+        report.rows_accepted_count,
+        report.rows_paused_count,
+        report.ticks_count,
+    );
     let lines = few.into_iter().chain(lines);
     Outcome {
         text: lines.chain([worst, decisions]).collect(),
@@ -204,9 +210,9 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
     }
 }
 
-/// First line where the board learnt fewer than one tick in twenty.
-fn too_few_rows(accepted: u32, ticks: u32) -> Option<String> {
-    (u64::from(accepted) * 20 < u64::from(ticks)).then(|| {
+/// First line where the board could learn fewer than one tick in twenty.
+fn too_few_rows(accepted: u32, paused: u32, ticks: u32) -> Option<String> {
+    ((u64::from(accepted) + u64::from(paused)) * 20 < u64::from(ticks)).then(|| {
         format!(
             "the board learnt {accepted} of {ticks} ticks: rows repeat values, or the joints stand still\n"
         )
@@ -242,8 +248,9 @@ mod tests {
 
     #[test]
     fn a_log_that_teaches_nothing_is_named() {
-        assert_eq!(too_few_rows(600, 12_000), None);
-        let line = too_few_rows(84, 11_973).expect("too few");
+        assert_eq!(too_few_rows(600, 0, 12_000), None);
+        assert_eq!(too_few_rows(84, 516, 12_000), None);
+        let line = too_few_rows(84, 2, 11_973).expect("too few");
         assert!(
             line.starts_with("the board learnt 84 of 11973 ticks"),
             "{line}"

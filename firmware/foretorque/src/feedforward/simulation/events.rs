@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::arm::{LinkInertia, base_parameters};
-use crate::learning::{Decision, PayloadEstimate, Phase, Reason, Request};
+use crate::dynamics::FRICTION_COLUMNS;
+use crate::learning::{Decision, PayloadEstimate, Phase, Reason, Request, StartDeviations};
 
 /// Centre of mass of the payloads: 5 cm beyond the flange and aside, in the frame of the last link, m.
 const COM: [f32; 3] = [0.02, -0.01, 0.1323];
@@ -109,7 +110,7 @@ fn has(decisions: &[Decision], reason: Reason) -> bool {
 fn carry(cell: &mut Cell, mass: f32) -> (u32, PayloadEstimate) {
     let load = cube(mass);
     cell.steps(300);
-    // The supervisor returns to a set of up to 0.256 s before the window of the payload test, which lasts 3 s at most.
+    // The supervisor returns to a set of up to 0.256 s before the window of the payload test; of these masses, 3 s at most.
     let before = cell.rigid.split_off(cell.rigid.len() - 3300);
     cell.plant.body += load;
     let (mut last_bad, mut weighed) = (0, PayloadEstimate::default());
@@ -180,6 +181,28 @@ fn m12_a_payload_is_in_the_torque_in_a_quarter_of_a_second_and_out_again_when_it
         assert!(onsets[onsets.len() / 2] <= median, "{mass} kg: {onsets:?}");
         let latest = onsets[onsets.len() - 1];
         assert!(latest <= worst, "{mass} kg: {onsets:?}");
+    }
+}
+
+/// The estimate absorbs a part of the body before there is enough evidence; the body that is found is the whole one.
+#[test]
+fn a_body_that_is_in_the_hand_when_a_bank_is_loaded_is_found_whole() {
+    for mass in [1.0, 3.0] {
+        let mut cell = Cell::settled();
+        let set = *cell.board.active();
+        // 16 % of the prior deviations.
+        let start = StartDeviations {
+            friction: [[40; FRICTION_COLUMNS]; N],
+            rigid: [40; P],
+        };
+        let board = &mut cell.board;
+        board.feedforward.load_with(set, start, &mut board.exchange);
+        cell.plant.body += cube(mass);
+        cell.steps(3000);
+        let decisions = cell.decisions();
+        let found = cell.payload();
+        let whole = (found.mass - mass).abs() < 0.1 * mass;
+        assert!(whole, "{mass} kg: {found:?} {decisions:?}");
     }
 }
 

@@ -122,10 +122,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if !(moving || phase == Phase::Healthy && state.supervisor.carries_payload) {
             return;
         }
-        let row = regressor_row_at::<A, N, P>(joint, &pose.angles, &block.motion)
-            .data
-            .0[0];
-        let row = payload_row::<A, N, P>(&row);
+        // Built here and not by `torque_row_at`, to spare the stack.
+        let own = joint_friction_row::<A, N, P>(joint, &pose.load, &block.motion);
+        let columns = JointEntries {
+            own: own.unwrap_or_default(),
+            rigid: regressor_row_at::<A, N, P>(joint, &pose.angles, &block.motion)
+                .data
+                .0[0],
+        };
+        let row = payload_row::<A, N, P>(&columns.rigid);
         let unit = self.config.noise * limits.torque;
         // Correlated rows of the joint in a block, as one observation.
         let rows = config.block_ticks as f32 / N as f32;
@@ -158,9 +163,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             Phase::Healthy => unit * sqrt(noise + lasting),
             Phase::Relearning | Phase::Stopped => return,
         };
+        // The estimate absorbs a part of the body before there is enough evidence; that of before the window does not.
+        let absorbed = match supervisor.carries_payload {
+            true => 0.0,
+            false => {
+                let before = &supervisor.before_payload.estimate;
+                columns.change(joint, before, state.estimate.parameters())
+            }
+        };
         let payload = &supervisor.payload;
         let test = &mut supervisor.payload_test;
-        test.add_row(joint, payload, &row, tau, sigma, deviation);
+        let rival = tau - payload_torque(payload, &row);
+        test.add_row(
+            joint,
+            payload,
+            &row,
+            [tau + absorbed, rival],
+            [sigma, deviation],
+        );
         if phase == Phase::Healthy {
             let residual = (tau - payload_torque(payload, &row)) / unit;
             update_block_variance(usual, blocks, residual, config.detector.clip);

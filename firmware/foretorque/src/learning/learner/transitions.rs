@@ -121,19 +121,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.snapshot = Some((state.supervisor.learnt, state.active.network));
                 return;
             }
-            Action::Rollback => {
-                if let Some((learnt, network)) = state.snapshot {
-                    state.active.network = network;
-                    state.trainer.reset(&network);
-                    state.supervisor.learnt = learnt;
-                    state.estimate.move_to(&learnt.set);
-                    // A payload that is released later restores these.
-                    let before = &mut state.supervisor.before_payload;
-                    (before.estimate, before.learnt) = (learnt.set, learnt);
-                    state.restored = true;
-                    state.blend();
-                }
-            }
+            Action::Rollback => state.roll_back(),
             Action::Commit => {
                 state.commit_due = true;
                 return;
@@ -261,11 +249,29 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
 
 impl<const N: usize, const P: usize> LearnerState<N, P> {
     /// Set the friction in the torque by loaded set, learnt set and shares.
+    #[inline(never)]
     fn blend(&mut self) {
         let supervisor = &self.supervisor;
         let learnt = &supervisor.learnt;
         let friction = learnt.share.friction(&supervisor.loaded, &learnt.set);
         self.active.friction = friction.map(FrictionParameters);
+    }
+
+    /// Return to the snapshot, if there is one.
+    #[inline(never)]
+    fn roll_back(&mut self) {
+        let Some((learnt, network)) = &self.snapshot else {
+            return;
+        };
+        self.active.network = *network;
+        self.trainer.reset(network);
+        self.supervisor.learnt = *learnt;
+        self.estimate.move_to(&learnt.set);
+        // A payload that is released later restores these.
+        let before = &mut self.supervisor.before_payload;
+        (before.estimate, before.learnt) = (learnt.set, *learnt);
+        self.restored = true;
+        self.blend();
     }
 
     /// Return estimate, learnt set and shares to the older checkpoint, bit for bit.

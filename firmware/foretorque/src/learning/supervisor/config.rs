@@ -16,7 +16,7 @@ pub struct SupervisorConfig {
     pub min_payload_mass: f32,
     /// Largest distance of a payload's centre of mass from the origin of the last link, m.
     pub max_com_distance: f32,
-    /// Largest standard deviation of the mass of a promoted payload, kg.
+    /// Largest standard deviation of the mass of a promoted payload, kg; a tenth of the mass is enough, too.
     pub max_mass_sigma: f32,
     /// Least evidence for a change of the payload, twice a log-likelihood ratio: χ² of seven degrees of freedom exceeds it
     /// with probability 1e-10.
@@ -27,9 +27,10 @@ pub struct SupervisorConfig {
     pub quiet_level: f32,
     /// Consecutive blocks for which a condition of the payload test has to hold.
     pub decision_blocks: u32,
-    /// Longest window of the payload test, blocks; after an alarm, the hypothesis is refused then.
+    /// Blocks after an alarm until the hypothesis is refused; without one, a window ends that is not on the way to enough
+    /// evidence in as many.
     pub timeout_blocks: u32,
-    /// Blocks after promotion for which the payload filter runs on.
+    /// Longest window of the payload test, and blocks after promotion for which the payload filter runs on.
     pub payload_update_blocks: u32,
     /// Memory of the evidence for the learnt shares, s: longer than a path takes to show a joint its range.
     pub share_memory_s: f32,

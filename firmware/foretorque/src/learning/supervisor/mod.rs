@@ -205,7 +205,8 @@ mod tests {
             row[k % NO_PAYLOAD.len()] = 10.0;
             let tau = payload_torque(actual, &row);
             let test = &mut supervisor.payload_test;
-            test.add_row(k % 2, carried, &row, tau, sigma, inflated);
+            let torques = [tau, tau - payload_torque(carried, &row)];
+            test.add_row(k % 2, carried, &row, torques, [sigma, inflated]);
         }
     }
 

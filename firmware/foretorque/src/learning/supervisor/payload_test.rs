@@ -48,6 +48,8 @@ const EMPTY_EVIDENCE: f32 = 45.0;
 /// Least evidence for a body without that of the joint with the most: a body loads several joints, an error of one joint's
 /// friction does not. χ² of seven degrees of freedom exceeds it with probability 0.006.
 const EVIDENCE_OF_OTHERS: f32 = 20.0;
+/// Standard deviation of a mass that is certain enough at any mass, as a part of it.
+const MASS_PART: f32 = 0.1;
 /// Evidence that the parameters of a body gain by chance: the mean of χ² with as many degrees of freedom.
 const CHANCE: f32 = PAYLOAD_PARAMETERS as f32;
 /// Part of the evidence for a body that an empty hand must have for a release.
@@ -114,8 +116,8 @@ pub(crate) struct PayloadHypothesisTest<const N: usize> {
     pub(crate) blocks: u32,
     /// The hypothesis is a body with enough evidence, whose mass is not certain enough yet.
     pub(crate) undecided: bool,
-    /// Evidence for the hypothesis by joint and for an empty hand, each over the payload in the torque: twice a log-likelihood
-    /// ratio.
+    /// Evidence for the hypothesis by joint, over the estimate that goes on learning, and for an empty hand, each over the payload
+    /// in the torque: twice a log-likelihood ratio.
     evidence: [f32; N],
     empty_evidence: f32,
     /// Likewise for an empty hand since some block before, whichever is the most: a CUSUM, kept from window to window.
@@ -164,9 +166,11 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         (self.empty_cusum, self.release_blocks) = (cusum, blocks);
     }
 
-    /// Add the residual torque `tau` of `joint` without payload, N·m, with its payload row.
+    /// Add the residual torque `tau` of `joint` without payload, N·m, of the parameters of before the window, with its payload
+    /// row.
     ///
-    /// * `payload` payload in the torque      * `sigma` standard deviation of a measurement, N·m
+    /// * `payload` payload in the torque      * `rival` residual of the estimate with it, N·m
+    /// * `sigma` standard deviation of a measurement, N·m
     /// * `inflated` standard deviation of a block for the payload filter, N·m
     #[inline(never)]
     pub(crate) fn add_row(
@@ -174,9 +178,8 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         joint: usize,
         payload: &Payload,
         row: &Payload,
-        tau: f32,
-        sigma: f32,
-        inflated: f32,
+        [tau, rival]: [f32; 2],
+        [sigma, inflated]: [f32; 2],
     ) {
         let inverse = 1.0 / sigma;
         let square = |residual: f32| {
@@ -194,7 +197,7 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         self.empty += square(tau);
         self.empty_evidence += empty;
         self.empty_cusum += empty;
-        let body = before - self.filter.update(row, tau, inflated);
+        let body = weight * square(rival) - self.filter.update(row, tau, inflated);
         if let Some(evidence) = self.evidence.get_mut(joint) {
             *evidence += body;
         }
@@ -298,9 +301,10 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         // In a window in which a payload is let go, the best body is half of it: the last rows show the empty hand.
         let explained =
             evident && hypothesis <= quiet + REMAINDER * current && self.hypothesis < self.empty;
+        let certain = config.max_mass_sigma.max(MASS_PART * payload.mass);
         if !plausible {
             Some((Reason::Implausible, payload.mass))
-        } else if mass_sigma >= config.max_mass_sigma {
+        } else if mass_sigma >= certain {
             Some((Reason::Uncertain, mass_sigma))
         } else if !explained {
             Some((Reason::Residual, hypothesis / current))
@@ -322,11 +326,12 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         (sum, sum - most)
     }
 
-    /// True if the window is over: its evidence is not on the way to that of a promotion before the timeout.
+    /// True if the window is over: its evidence is not on the way to that of a promotion within the timeout, or the hypothesis
+    /// would no longer be updated as a payload either.
     pub(crate) fn is_over(&self, config: &SupervisorConfig) -> bool {
         let (evidence, _) = self.evidence();
         let part = self.blocks as f32 / config.timeout_blocks as f32;
-        self.blocks >= config.timeout_blocks || evidence < part * config.payload_evidence
+        self.blocks >= config.payload_update_blocks || evidence < part * config.payload_evidence
     }
 
     /// True if there is evidence for an empty hand, beyond chance.
