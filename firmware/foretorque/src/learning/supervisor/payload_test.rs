@@ -48,7 +48,7 @@ const EMPTY_EVIDENCE: f32 = 45.0;
 /// Least evidence for a body without that of the joint with the most: a body loads several joints, an error of one joint's
 /// friction does not. χ² of seven degrees of freedom exceeds it with probability 0.006.
 const EVIDENCE_OF_OTHERS: f32 = 20.0;
-/// Standard deviation of a mass that is certain enough at any mass, as a part of it.
+/// Standard deviation of the mass of a payload that is always small enough, as a part of that mass.
 const MASS_PART: f32 = 0.1;
 /// Evidence that the parameters of a body gain by chance: the mean of χ² with as many degrees of freedom.
 const CHANCE: f32 = PAYLOAD_PARAMETERS as f32;

@@ -110,7 +110,7 @@ fn every_disturbance_has_its_decision() {
     let enough = 0.1 * two[0];
     assert!(enough > config.max_mass_sigma && (0.9 * enough..enough).contains(&sigma));
     assert!(block > 20, "{block}: {sigma} kg");
-    // Of a light one, a tenth of its mass would be more than is asked.
+    // For a light body the limit by the rated payload is wider than a tenth of its mass.
     let light = of(1.0, [0.05; 3]);
     let (_, _, sigma) = decided_at::<2>(&NO_PAYLOAD, &light, (0.03, 20.0));
     assert!((0.1..config.max_mass_sigma).contains(&sigma), "{sigma} kg");
@@ -125,7 +125,7 @@ fn a_body_that_one_joint_alone_shows_is_none() {
     assert!(is_refused_for_residual(of_one), "{of_one:?}");
 }
 
-/// Descriptions of real arms err by more than is known of them, and a body fits to a part of that.
+/// An error of the description that the estimate learns as well is no body.
 #[test]
 fn a_body_has_to_excel_the_estimate_that_goes_on_learning() {
     let config = config();
