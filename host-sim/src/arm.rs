@@ -3,7 +3,7 @@
 use super::terminal::show;
 use super::{Failure, bail, not_negative, positive};
 use clap::Args;
-use foretorque::learning::MAX_COM_DISTANCE;
+use foretorque::learning::RATED_COM_DISTANCE;
 use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::robot::{Joint, Link, Robot};
 use foretorque_workbench::urdf::{Import, Selection};
@@ -159,7 +159,7 @@ const INFLATED: f64 = 10.0;
 fn inflated_limits(robot: &Robot) -> Vec<String> {
     let payload = Link {
         mass: robot.joints.iter().map(|joint| joint.link.mass).sum(),
-        com: nalgebra::Vector3::new(MAX_COM_DISTANCE.into(), 0.0, 0.0),
+        com: nalgebra::Vector3::new(RATED_COM_DISTANCE.into(), 0.0, 0.0),
         inertia_com: nalgebra::Matrix3::zeros(),
     };
     let needs = RigidBodies::new(robot)

@@ -304,7 +304,10 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
         values.for_each(|q| *q = (*q / step).round() * step);
     });
     here.write("coarse.csv", planted(&good, coarse.as_ref()));
-    for sound in ["turned.csv --units tau=-Nm", "coarse.csv"] {
+    // A sensor whose zero is beyond all torques of its joint.
+    let zero = each(|row| row[TAU + 4] += 8.0);
+    here.write("zero.csv", planted(&good, zero.as_ref()));
+    for sound in ["turned.csv --units tau=-Nm", "coarse.csv", "zero.csv"] {
         let identify = format!("identify --robot ur5 --log {sound} --data-check");
         here.shows(&identify, "no finding that refuses");
     }

@@ -171,6 +171,33 @@ fn arms_of_one_to_eight_joints_run_and_learn() {
     }
 }
 
+/// A joint has no new measurement in most of its turns.
+#[test]
+fn arms_of_few_joints_learn_with_a_sensor_slower_than_the_tick() {
+    let panda = Robot::load("panda").unwrap();
+    for count in 1..=4 {
+        let mut robot = panda.clone();
+        robot.name = format!("slow_arm_of_{count}");
+        robot.joints.truncate(count);
+        arms!(robot, N, P => {
+            Described::<N, P>::read(&robot).unwrap();
+            for phase in 0..4 {
+                let mut client = native::<Described<N, P>, N, P>();
+                client.arm(&sample::<Described<N, P>, N, P>(0)).unwrap();
+                client.learning(true).unwrap();
+                let loaded = client.read_bank().unwrap();
+                for tick in 1..6000 {
+                    let mut now = sample::<Described<N, P>, N, P>(tick);
+                    let before = tick.saturating_sub((tick + phase) % 4);
+                    now.measured = sample::<Described<N, P>, N, P>(before).measured;
+                    client.sample(&now).unwrap();
+                }
+                assert!(client.read_bank().unwrap() != loaded, "{count} joints, {phase}");
+            }
+        }, else unreachable!());
+    }
+}
+
 /// Banks name their columns. An arm read at run time has room for more base parameters than it has, so places differ.
 #[test]
 fn friction_of_a_bank_stays_with_its_joint() {

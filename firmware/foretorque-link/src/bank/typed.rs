@@ -365,8 +365,7 @@ pub(crate) fn config<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Result<FeedForwardConfig<N>, BankError> {
     let mut config = FeedForwardConfig::for_arm::<A, P>(period_s);
     let widest = JointBounds::widest::<A, N, P>();
-    let joints = config.limits.iter_mut().zip(&mut config.slew_per_tick);
-    for (joint, ((limits, slew), widest)) in joints.zip(widest).enumerate() {
+    for (joint, widest) in widest.into_iter().enumerate() {
         let error = BankError::Limit(joint as u8);
         let bounds = bounds.get(joint).ok_or(error)?;
         let torque = bounds.torque_nm > 0.0 && bounds.torque_nm <= widest.torque_nm;
@@ -374,8 +373,8 @@ pub(crate) fn config<A: Arm<N, P>, const N: usize, const P: usize>(
         if !torque || !rate || bounds.network_share != widest.network_share {
             return Err(error);
         }
-        limits.torque = bounds.torque_nm;
-        *slew = bounds.slew_nm_s * period_s;
+        config.limit_torque(joint, bounds.torque_nm);
+        config.slew_per_tick[joint] = bounds.slew_nm_s * period_s;
     }
     config.validate().map_err(|_| BankError::Limit(0))?;
     Ok(config)

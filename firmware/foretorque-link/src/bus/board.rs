@@ -283,14 +283,16 @@ impl MotionFilter {
         let ahead = [q + t * (qd + 0.5 * t * qdd), qd + t * qdd, qdd];
         let error = command.map_or(0.0, |command| command - ahead[0]);
         let [g, h, k] = GAINS;
-        self.state = Some([
+        let [q, qd, qdd] = [
             ahead[0] + g * error,
             ahead[1] + h * error / t,
             ahead[2] + k * error / (t * t),
-        ]);
+        ];
+        // A command far away can leave no numbers; the next one begins anew.
+        let finite = (q + qd + qdd).is_finite();
+        self.state = finite.then_some([q, qd, qdd]);
         // The position itself is known.
-        self.state
-            .map(|[q, qd, qdd]| [command.unwrap_or(q), qd, qdd])
+        Some([command.unwrap_or(q), qd, qdd])
     }
 }
 
@@ -395,5 +397,16 @@ mod tests {
         // The last command was lost; 50 ms are 25 periods.
         let silent = (0..30).find(|_| filter.step(2000).is_none());
         assert_eq!(silent, Some(24));
+    }
+
+    #[test]
+    fn a_command_beyond_all_numbers_ends_with_the_next_ones() {
+        let mut filter = MotionFilter::default();
+        for (k, command) in [0.1, 1e37, 0.1, 0.1, 0.1].into_iter().enumerate() {
+            filter.command = Some(command);
+            let motion = filter.step(1000).unwrap();
+            let finite = motion.iter().all(|value| value.is_finite());
+            assert_eq!(finite, k != 1, "{k} {motion:?}");
+        }
     }
 }

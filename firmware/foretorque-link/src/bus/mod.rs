@@ -158,9 +158,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
         let refused = Contradiction::new("period_s", period_s, against, period_s);
         let limits = feed_forward_config::<A, N, P>(&parameters.bounds, period_s);
         let mut limits = limits.map_err(|_| refused)?;
-        for (joint, bounds) in config.joints.iter_mut().zip(&mut limits.limits) {
-            bounds.torque = bounds.torque.min(joint.drive.torque_limit);
-            joint.drive.torque_limit = bounds.torque;
+        for (number, joint) in config.joints.iter_mut().enumerate() {
+            let torque = &mut joint.drive.torque_limit;
+            *torque = torque.min(limits.limits[number].torque);
+            limits.limit_torque(number, *torque);
         }
         Ok(Self {
             feed_forward: FeedForward::new(limits, parameters.set).map_err(|_| refused)?,

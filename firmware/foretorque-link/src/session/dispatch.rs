@@ -173,13 +173,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                         return Err(NackReason::Wait { seconds });
                     }
                 }
-                let committed = controller.feed_forward.state().committed();
-                parameters.read(sequence, Order::Save, committed)?;
+                let state = controller.feed_forward.state();
                 // The learner's bounds lie around the loaded set: with a key, around a signed one for ever.
-                if board.write_key.is_some() {
-                    let set = &mut parameters.parameters.set;
-                    controller.feed_forward.state().drop_learnt(set);
-                }
+                let set = match board.write_key {
+                    Some(_) => state.loaded(),
+                    None => state.committed(),
+                };
+                parameters.read(sequence, Order::Save, set)?;
                 self.rested_us = 0;
                 return Ok(None);
             }
@@ -207,9 +207,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 self.reboot = true;
             }
             HostMessage::Excitation(command) => {
-                let player = &mut controller.player;
-                player.command(command).map_err(NackReason::Excitation)?;
-                return Ok(Some(BoardMessage::Excitation(player.state())));
+                return controller
+                    .play(command)
+                    .map(|state| Some(BoardMessage::Excitation(state)));
             }
         }
         Ok(Some(BoardMessage::Ack))

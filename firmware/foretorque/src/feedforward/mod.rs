@@ -23,7 +23,7 @@ pub use step::{FeedForwardScratch, adopt, pause, step, step_stale};
 use crate::arm::{Arm, JointLimits};
 use crate::joint::{JointMeasurement, JointSample, JointVector};
 use crate::learning::{
-    ConfigError, Exchange, LearningSample, Request, RequestPending, StartDeviations,
+    ConfigError, Exchange, LearningSample, PAYLOAD_PART, Request, RequestPending, StartDeviations,
     check_positive, payload_bound,
 };
 use crate::limits::{Flags, cut};
@@ -68,6 +68,14 @@ impl<const N: usize> FeedForwardConfig<N> {
             // At least one tick: a single lost sample must not make the torque dip.
             hold_ticks: HOLD_TIME_US / whole_us(period_s) + 1,
         }
+    }
+
+    /// Lower the torque limit of `joint` to `torque`, N·m, with the bounds of payload and learnt change that follow from it.
+    pub fn limit_torque(&mut self, joint: usize, torque: f32) {
+        let limit = &mut self.limits[joint].torque;
+        self.learned_slew_per_tick[joint] *= torque / *limit;
+        self.payload_bound[joint] = self.payload_bound[joint].min(PAYLOAD_PART * torque);
+        *limit = torque;
     }
 
     /// Every field is usable.

@@ -11,22 +11,6 @@ use crate::learning::{JointNetwork, MotionRange, NETWORK_INPUTS, ParameterSet, n
 use crate::limits::{Flags, cut};
 use crate::math::SinCos;
 
-/// The linear parameters of the set that was last loaded.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Loaded<const N: usize, const P: usize> {
-    pub(super) rigid: BaseParameters<P>,
-    pub(super) friction: [FrictionParameters; N],
-}
-
-impl<const N: usize, const P: usize> Loaded<N, P> {
-    pub(super) fn new(set: &ParameterSet<N, P>) -> Self {
-        Self {
-            rigid: set.rigid,
-            friction: set.friction,
-        }
-    }
-}
-
 /// Difference of the linear parameters of a learnt set from those of the loaded one, and its share in the torque.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Difference<const N: usize, const P: usize> {
@@ -50,13 +34,12 @@ impl<const N: usize, const P: usize> Difference<N, P> {
         }
     }
 
-    /// Set to `set` less `loaded` with `share`; its networks are learnt if they were so, or are not those of `before`.
+    /// Set to `set` less `loaded` with `share`.
     pub(super) fn update(
         &mut self,
         set: &ParameterSet<N, P>,
         share: &[f32; N],
-        before: &ParameterSet<N, P>,
-        loaded: &Loaded<N, P>,
+        loaded: &ParameterSet<N, P>,
     ) {
         // Slices: iterators of a matrix look for the end of a column at every entry.
         let both = set.rigid.as_slice().iter().zip(loaded.rigid.as_slice());
@@ -71,9 +54,9 @@ impl<const N: usize, const P: usize> Difference<N, P> {
                 *difference = share * (set - loaded);
             }
         }
-        let networks = set.network.iter().zip(&before.network);
-        for (learnt, (set, before)) in self.network.iter_mut().zip(networks) {
-            *learnt |= set.layers() != before.layers();
+        let networks = set.network.iter().zip(&loaded.network);
+        for (learnt, (set, loaded)) in self.network.iter_mut().zip(networks) {
+            *learnt = set.layers() != loaded.layers();
         }
     }
 }

@@ -6,11 +6,11 @@ use crate::learning::{JointNetwork, NETWORK_BOUND, NETWORK_INPUTS, ParameterSet,
 use crate::limits::{Flags, cut};
 use nalgebra::SVector;
 
-/// Bound of all that was learnt since the committed set, in units of the joint's torque limit. Never optional.
+/// Bound of all that was learnt since the committed set, in units of the joint's torque limit in force. Never optional.
 pub const LEARNED_BOUND: f32 = 0.20;
-/// A rigid-body share beyond this many torque limits is a fault of the parameters, not a demanding motion.
+/// A rigid-body share beyond this many torque limits of the arm is a fault of the parameters, not a demanding motion.
 const RIGID_PLAUSIBLE: f32 = 10.0;
-/// A friction share beyond this many torque limits is a fault of the parameters.
+/// A friction share beyond this many torque limits of the arm is a fault of the parameters.
 const FRICTION_PLAUSIBLE: f32 = 2.0;
 
 /// The shares whose sum is the feed-forward torque, before limits. N × N·m each.
@@ -173,28 +173,30 @@ fn sound(
 }
 
 /// Makes every share in `active` sound and bounds their sum around the committed set's.
+///
+/// * `arm_limit`, `limit` torque limits of the arm, of which networks are a part, and in force, N·m
 #[inline(always)]
 pub(super) fn select(
     active: &JointShares,
     committed: &JointShares,
-    torque_limit: f32,
+    [arm_limit, limit]: [f32; 2],
     flags: &mut Flags,
 ) -> Selected {
     let [rigid, committed_rigid] = sound(
         [active.rigid, committed.rigid],
-        RIGID_PLAUSIBLE * torque_limit,
+        RIGID_PLAUSIBLE * arm_limit,
         Flags::WITHDRAWN | Flags::GRAVITY_LOST,
         flags,
     );
     let [friction, committed_friction] = sound(
         [active.friction, committed.friction],
-        FRICTION_PLAUSIBLE * torque_limit,
+        FRICTION_PLAUSIBLE * arm_limit,
         Flags::WITHDRAWN,
         flags,
     );
     let [network, committed_network] = sound(
         [active.network, committed.network],
-        NETWORK_BOUND * torque_limit,
+        NETWORK_BOUND * arm_limit,
         Flags::WITHDRAWN,
         flags,
     );
@@ -206,7 +208,7 @@ pub(super) fn select(
     // The sums begin at 0: that of −0 and −0 is 0.
     let sum = 0.0 + rigid + friction + network;
     let reference = 0.0 + committed_rigid + committed_friction + committed_network;
-    let (learned, was_cut) = cut(sum - reference, LEARNED_BOUND * torque_limit);
+    let (learned, was_cut) = cut(sum - reference, LEARNED_BOUND * limit);
     *flags |= Flags::when(was_cut, Flags::LEARNED_CLIPPED);
     Selected {
         shares,

@@ -1,7 +1,7 @@
 //! State between ticks: the parameters in force, and the torque of the last tick.
 
 use super::Torque;
-use super::model::{Difference, LearntRange, Loaded};
+use super::model::{Difference, LearntRange};
 use super::shares::{evaluate, gravity};
 use crate::arm::Arm;
 use crate::dynamics::{BaseParameters, rnea};
@@ -33,7 +33,7 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     /// The motion for which the active set has been learnt.
     pub(super) range: LearntRange<N>,
     /// The set that was last loaded: what was learnt is measured from it.
-    pub(super) loaded: Loaded<N, P>,
+    pub(super) loaded: ParameterSet<N, P>,
     pub(super) active_difference: Difference<N, P>,
     pub(super) committed_difference: Difference<N, P>,
     /// Learnt part in the torque of the last tick, payload included.
@@ -80,7 +80,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
             payload: BaseParameters::zeros(),
             payload_torque: JointVector::zeros(),
             range: LearntRange::none(),
-            loaded: Loaded::new(&set),
+            loaded: set,
             active_difference: Difference::none(),
             committed_difference: Difference::none(),
             learned: JointVector::zeros(),
@@ -114,7 +114,7 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 
     /// Makes `set` loaded, active and committed from the tick to come on; the hand is empty.
     pub(super) fn load(&mut self, set: &ParameterSet<N, P>) {
-        self.loaded = Loaded::new(set);
+        self.loaded = *set;
         self.payload.fill(0.0);
         self.range = LearntRange::none();
         self.fresh = true;
@@ -144,27 +144,16 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
     /// Bring the learnt `set` into the torque with its `share`.
     pub(super) fn set_active(&mut self, set: &ParameterSet<N, P>, share: &LearntShare<N>) {
         self.active_difference
-            .update(set, &share.joint, &self.active, &self.loaded);
+            .update(set, &share.joint, &self.loaded);
         self.active = *set;
-        let loaded = LinearParameters {
-            friction: self.loaded.friction.map(|joint| joint.0),
-            rigid: self.loaded.rigid.data.0[0],
-        };
-        let single = share.single_set(&loaded, &LinearParameters::of(set));
+        let [loaded, learnt] = [&self.loaded, set].map(LinearParameters::of);
+        let single = share.single_set(&loaded, &learnt);
         single.write(&mut self.active);
     }
 
-    /// Take out of `set`, a copy of the committed one, what was learnt since the load; a learnt network becomes silent.
-    pub fn drop_learnt(&self, set: &mut ParameterSet<N, P>) {
-        set.rigid = self.loaded.rigid;
-        set.friction = self.loaded.friction;
-        let (_, difference) = self.fallback();
-        let learnt = &difference.network;
-        for (network, &learnt) in set.network.iter_mut().zip(learnt) {
-            if learnt {
-                *network = network.silenced();
-            }
-        }
+    /// The set that was last loaded, without what was learnt since.
+    pub fn loaded(&self) -> &ParameterSet<N, P> {
+        &self.loaded
     }
 
     /// Torque of gravity at the position `q`, N × rad, by the committed set and the payload, N × N·m; 0 where it is not
@@ -175,15 +164,10 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
 
     /// The set that stands in for the active one: the one that was last loaded or committed.
     pub fn committed(&self) -> &ParameterSet<N, P> {
-        self.fallback().0
-    }
-
-    /// The committed set and its difference from the loaded one, also while the active set waits to become it.
-    fn fallback(&self) -> (&ParameterSet<N, P>, &Difference<N, P>) {
-        if self.committing != Committing::No {
-            (&self.active, &self.active_difference)
-        } else {
-            (&self.committed, &self.committed_difference)
+        // The active set waits to become it.
+        match self.committing {
+            Committing::No => &self.committed,
+            Committing::Compare | Committing::Copy => &self.active,
         }
     }
 

@@ -85,7 +85,7 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
     for joint in 0..N {
         let [loaded, payload] = [scratch.wanted[0][joint], scratch.wanted[1][joint]];
         let [active, committed] = [scratch.learnt[0][joint], scratch.learnt[1][joint]];
-        let limits = &config.limits[joint];
+        let (limit, arm_limit) = (config.limits[joint].torque, A::limits()[joint].torque);
         let (q, qd) = (motion.desired.q[joint], motion.desired.qd[joint]);
         let cogging = cogging(A::cogging_cycles()[joint], q);
         let load = pose.load[joint];
@@ -98,7 +98,7 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
             [loaded, friction, active],
             &state.active.network[joint],
             speeds,
-            limits.torque,
+            arm_limit,
             &mut flags,
         );
         let committed = state.committed_difference.shares(
@@ -106,10 +106,10 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
             [loaded, friction, committed],
             &state.committed.network[joint],
             speeds,
-            limits.torque,
+            arm_limit,
             &mut ignored,
         );
-        let selected = select(&active, &committed, limits.torque, &mut flags);
+        let selected = select(&active, &committed, [arm_limit, limit], &mut flags);
 
         let (mut carried, was_cut) = cut(payload, config.payload_bound[joint]);
         if was_cut || payload.is_nan() {
@@ -128,7 +128,10 @@ pub fn step<'a, A: Arm<N, P>, const N: usize, const P: usize>(
         shares.friction[joint] = selected.shares.friction;
         shares.network[joint] = selected.shares.network;
     }
-    if state.committing == Committing::Compare {
+    if state.committing == Committing::Compare && flags.contains(Flags::SHARE_FALLBACK) {
+        // The active set needs the committed one.
+        state.committing = Committing::No;
+    } else if state.committing == Committing::Compare {
         // The next tick measures from the active set, and the torque goes on from where it is: both of one motion.
         let active = state.last.shares.total() - state.payload_torque;
         state.learned = scratch.sum - active;
@@ -170,6 +173,7 @@ fn hold<'a, const N: usize, const P: usize>(
         (state.last.total, Flags::NONE)
     } else {
         state.last.shares = Shares::zero();
+        state.fresh = true;
         (JointVector::zeros(), Flags::WITHDRAWN)
     };
     let limited = output(config, &mut state.last, &target);

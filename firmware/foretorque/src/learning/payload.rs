@@ -14,13 +14,19 @@ pub(super) type Payload = [f32; PAYLOAD_PARAMETERS];
 /// No payload.
 pub(super) const NO_PAYLOAD: Payload = [0.0; PAYLOAD_PARAMETERS];
 
-/// Largest distance of a payload's centre of mass from the origin of the last link, m.
-pub const MAX_COM_DISTANCE: f32 = 0.25;
+/// Largest distance of a payload's centre of mass from the origin of the last link, m. The flange is up to 0.1 m from it, and a
+/// gripper with its body reaches 0.25 m further.
+pub const MAX_COM_DISTANCE: f32 = 0.5;
+/// Distance of the rated payload's centre of mass from that origin, m.
+pub const RATED_COM_DISTANCE: f32 = 0.25;
 /// Weight of the rated payload at full stretch, in units of the torque limit.
 ///
 /// Descriptions do not contain the rated payload. A third gives 5.0 kg for the UR5 (data sheet: 5 kg) and 3.3 kg for the
 /// Panda (3 kg).
 const RATED_TORQUE: f32 = 1.0 / 3.0;
+
+/// Largest part of a torque limit for a payload.
+pub const PAYLOAD_PART: f32 = 0.85;
 
 /// Distance from joint `joint` to the origin of the last link with all links between in one line, m.
 const fn stretch<const N: usize, const P: usize>(arm: &ArmModel<N, P>, joint: usize) -> f32 {
@@ -41,7 +47,7 @@ pub fn rated_payload<A: Arm<N, P>, const N: usize, const P: usize>() -> f32 {
 }
 
 const fn rated_mass<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> f32 {
-    let mut least = RATED_TORQUE * arm.limits[0].torque / (GRAVITY * MAX_COM_DISTANCE);
+    let mut least = RATED_TORQUE * arm.limits[0].torque / (GRAVITY * RATED_COM_DISTANCE);
     let mut joint = 0;
     while joint + 1 < N {
         let lever = stretch(arm, joint);
@@ -65,9 +71,9 @@ const fn torque_bound<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> [
     let mut bound = [0.0; N];
     let mut joint = 0;
     while joint < N {
-        let lever = stretch(arm, joint) + MAX_COM_DISTANCE;
+        let lever = stretch(arm, joint) + RATED_COM_DISTANCE;
         let torque = 2.0 * GRAVITY * mass * lever;
-        let most = 0.85 * arm.limits[joint].torque;
+        let most = PAYLOAD_PART * arm.limits[joint].torque;
         bound[joint] = if torque < most { torque } else { most };
         joint += 1;
     }

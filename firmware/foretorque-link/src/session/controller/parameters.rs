@@ -2,7 +2,9 @@
 
 use super::{Controller, SampleGaps, TickCounters};
 use crate::bank::{BankError, Parameters, feed_forward_config};
-use crate::excitation::{ExcitationCommand, ExcitationError, ExcitationProgram, Player};
+use crate::excitation::{
+    ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, Player,
+};
 use crate::safety::{SafetyLimits, SafetyReason};
 use crate::session::{LearnerMailbox, seconds};
 use crate::wire::{Configuration, EvaluatedFrame, MotionFrame, NackReason, SampleFrame};
@@ -59,15 +61,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         let state = self.feed_forward.state();
-        let source = if has_key {
-            state.committed()
-        } else {
-            &state.active
+        let set = match has_key {
+            true => state.loaded(),
+            false => &state.active,
         };
-        let mut set = *source;
-        if has_key {
-            state.drop_learnt(&mut set);
-        }
+        let set = *set;
         self.restart(wanted, &set, mailbox)
     }
 
@@ -150,6 +148,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         let program = ExcitationProgram::decode(bytes).ok_or(ExcitationError::Number(0));
         let loaded = program.and_then(|program| self.player.load(&program));
         loaded.map_err(NackReason::Excitation)
+    }
+
+    /// Order to the player of excitations.
+    pub(in crate::session) fn play(
+        &mut self,
+        command: ExcitationCommand,
+    ) -> Result<ExcitationState, NackReason> {
+        // A torque that ended without a tick does not end a motion that is started after it.
+        self.flowed = self.safety.brake_released();
+        let player = &mut self.player;
+        player.command(command).map_err(NackReason::Excitation)?;
+        Ok(player.state())
     }
 
     /// Emergency stop of torque and learning: the data that led to it may not be fit to learn from.

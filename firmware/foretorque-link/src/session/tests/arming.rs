@@ -37,16 +37,26 @@ fn torque_flows_only_between_arming_and_disarming() {
     assert_eq!(status(&after), disarmed);
 }
 
-/// A board that plays an excitation in which no joint moves, at the position 0; `armed` or not.
-fn playing(armed: bool) -> (Board, HostMessage<N>) {
+/// A sample of the arm at rest at the position 0.
+fn rest() -> HostMessage<N> {
     let mut sample = sample(0);
     sample.desired = JointMotion::zero();
     sample.measured.as_mut().unwrap().q.fill(0.0);
-    let sample = HostMessage::Sample(SampleFrame::new(&sample));
+    HostMessage::Sample(SampleFrame::new(&sample))
+}
+
+/// A board with an excitation in which no joint moves, at the position 0.
+fn resting() -> Board {
     let mut board = Board::new();
     let program = keys::excitation();
     assert_eq!(board.upload_excitation(&program, None), ACK);
-    (0..300).for_each(|_| _ = board.send(&sample));
+    (0..300).for_each(|_| _ = board.send(&rest()));
+    board
+}
+
+/// That board playing it; `armed` or not.
+fn playing(armed: bool) -> (Board, HostMessage<N>) {
+    let (mut board, sample) = (resting(), rest());
     if armed {
         board.acknowledged(HostMessage::Arm);
     }
@@ -89,6 +99,21 @@ fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
     board.session.torque_off(SafetyReason::Drive);
     (0..2).for_each(|_| _ = board.send(&sample));
     assert_eq!(state(&board), ExcitationState::Stopping);
+}
+
+#[test]
+fn a_start_after_a_silence_that_ended_the_torque_waits_for_its_sample() {
+    let mut board = resting();
+    let sample = rest();
+    board.acknowledged(HostMessage::Arm);
+    (0..100).for_each(|_| _ = board.send(&sample));
+    assert!(board.session.torque_enabled());
+    (0..4000).for_each(|_| _ = board.timer());
+    assert!(!board.session.torque_enabled());
+    board.request(HostMessage::Excitation(ExcitationCommand::Start));
+    (0..1000).for_each(|_| _ = board.send(&sample));
+    let state = board.session.controller.player.state();
+    assert!(state.is_active(), "{state:?}");
 }
 
 #[test]

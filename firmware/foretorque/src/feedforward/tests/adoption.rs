@@ -148,6 +148,39 @@ fn a_commit_lasts_without_a_sample_after_it() {
 }
 
 #[test]
+fn an_active_set_that_needs_the_committed_one_does_not_become_it() {
+    let mut tick = tick(set());
+    let mut exchange = Exchange::new();
+    let mut unsound = finished(5, set());
+    unsound.set.friction[2][FrictionColumn::Coulomb] = 1e9;
+    (unsound.range, unsound.commit) = (WIDE, true);
+    exchange.published = Some(unsound);
+    tick.state.tick = 9;
+    tick.adopt(&mut exchange);
+    for _ in 0..3 {
+        let torque = tick.step(&sample(motion(0.3)));
+        assert!(torque.flags.contains(Flags::SHARE_FALLBACK));
+    }
+    assert_eq!(*tick.state().committed(), set());
+}
+
+#[test]
+fn what_was_learnt_returns_after_a_silence_as_that_of_the_motion_then() {
+    let mut loaded = tick(set());
+    let mut learnt = set();
+    learnt.rigid *= 1.1;
+    loaded.state.set_active(&learnt, &LearntShare::FULL);
+    loaded.state.range.set(&WIDE);
+    settled(&mut loaded, &motion(0.3));
+    (0..40).for_each(|_| _ = loaded.step_stale());
+    // Of another pose: the total alone is slewed.
+    loaded.step(&sample(motion(2.0)));
+    let at_once = loaded.state().learned;
+    settled(&mut loaded, &motion(2.0));
+    assert_eq!(at_once, loaded.state().learned);
+}
+
+#[test]
 fn the_learner_sees_an_end_of_learning_that_no_tick_saw() {
     let mut tick = tick(set());
     let enabled = |tick: &mut Tick| {
@@ -168,7 +201,7 @@ fn the_learner_sees_an_end_of_learning_that_no_tick_saw() {
 }
 
 #[test]
-fn what_was_learnt_is_dropped_and_what_was_loaded_stays() {
+fn the_loaded_set_stays_beside_what_was_learnt() {
     let mut loaded = set();
     loaded.network[0].output_bias[0] = 0.05;
     loaded.network[1].output_bias[0] = 0.05;
@@ -179,12 +212,8 @@ fn what_was_learnt_is_dropped_and_what_was_loaded_stays() {
     learnt.network[1].output_bias[0] = 0.02;
     tick.state.set_active(&learnt, &LearntShare::FULL);
     tick.state.commit();
-    let mut saved = *tick.state().committed();
-    assert_ne!(saved, loaded);
-    tick.state().drop_learnt(&mut saved);
-    let mut wanted = loaded;
-    wanted.network[1] = learnt.network[1].silenced();
-    assert_eq!(saved, wanted);
+    assert_eq!(*tick.state().committed(), learnt);
+    assert_eq!(*tick.state().loaded(), loaded);
 }
 
 #[test]

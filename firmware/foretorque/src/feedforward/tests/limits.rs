@@ -115,6 +115,37 @@ fn the_torque_of_a_payload_is_cut_to_its_bound_or_left_out() {
     }
 }
 
+/// A network is a part of the arm's limit, as the learner has it; bounds of what acts are parts of the limit in force.
+#[test]
+fn lower_torque_limits_bound_what_was_learnt_and_leave_its_units() {
+    let mut parameters = set();
+    parameters.network[3].output_bias[0] = 0.05;
+    let mut config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
+    let whole = config;
+    for joint in 0..N {
+        config.limit_torque(joint, 0.1 * config.limits[joint].torque);
+    }
+    let mut tick = Tick::new(config, parameters).unwrap();
+    let (desired, tenth) = (motion(0.3), |value: f32| 0.1 * value);
+    let torque = settled(&mut tick, &desired);
+    let evaluated = evaluate::<Ur5, N, P>(&parameters, &desired);
+    assert_eq!(torque.shares, evaluated.shares);
+    for flag in [Flags::WITHDRAWN, Flags::GRAVITY_LOST, Flags::SHARE_FALLBACK] {
+        assert!(!torque.flags.contains(flag), "{:?}", torque.flags);
+    }
+    for (joint, slew) in whole
+        .learned_slew_per_tick
+        .map(tenth)
+        .into_iter()
+        .enumerate()
+    {
+        let limit = config.limits[joint].torque;
+        assert!((config.learned_slew_per_tick[joint] - slew).abs() < 1e-6 * slew);
+        assert!(config.payload_bound[joint] <= PAYLOAD_PART * limit);
+        assert!(torque.total[joint].abs() <= limit);
+    }
+}
+
 #[test]
 fn the_torque_is_finite_and_limited_for_any_bits() {
     let mut state = 0x1234_5678_9abc_def1u64;

@@ -251,8 +251,8 @@ fn a_share_beyond_its_bound_gives_way_to_the_committed_one_and_without_one_to_ze
         for (factor, sound) in [(0.99, true), (-0.99, true), (1.01, false), (-1.01, false)] {
             let active = shares(kind, factor * bound * 50.0);
             let (mut flags, mut lost) = (Flags::NONE, Flags::NONE);
-            let replaced = select(&active, &shares(kind, 1.0), 50.0, &mut flags);
-            let withdrawn = select(&active, &active, 50.0, &mut lost);
+            let replaced = select(&active, &shares(kind, 1.0), [50.0; 2], &mut flags);
+            let withdrawn = select(&active, &active, [50.0; 2], &mut lost);
             let context = std::format!("share {kind}, {factor}");
             let [one, none] = [shares(kind, 1.0), shares(kind, 0.0)];
             let wanted = if sound { [&active; 2] } else { [&one, &none] };

@@ -1,7 +1,7 @@
 //! Work on one block: change detection, and the payload during and after a payload test.
 
 use super::row::joint_attenuation;
-use super::{Learner, increment};
+use super::{Learner, TorqueChanges, increment};
 use crate::arm::Arm;
 use crate::dynamics::{
     BaseParameters, COGGING_COLUMNS, FRICTION_COLUMNS, FrictionColumn, FrictionParameters,
@@ -29,14 +29,14 @@ const FRICTION_CORRELATION: f32 = 2.0 / 3.0;
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// One tick of learning: average the block, process one joint of the last block, learn one row of `joint`.
     ///
-    /// * returns the torque changes of the joint by the next share and set, in units of its limit; `None` if they are unknown
+    /// * returns the torque changes of the joint; `None` if they are unknown
     #[inline(never)]
     pub(super) fn process_sample(
         &mut self,
         tick: u32,
         joint: usize,
         sample: &ConditionedSample<N>,
-    ) -> Option<[f32; 2]> {
+    ) -> Option<TorqueChanges> {
         let pose = Pose::of::<A, P>(&sample.motion.q);
         let plausible = is_plausible::<A, N, P>(sample, self.config.acceleration_limit);
         let Some(pose) = pose.filter(|_| plausible) else {
@@ -61,7 +61,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         }
         if self.only_joint.is_some_and(|only| only != joint) {
             // The torque of the other joints is not used, so its step does not limit following.
-            return Some([0.0; 2]);
+            return Some(TorqueChanges::default());
         }
         self.learn_row(tick, joint, sample, &pose)
     }

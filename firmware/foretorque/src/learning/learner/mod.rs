@@ -47,6 +47,15 @@ impl LearnerStatistics {
     };
 }
 
+/// Torque changes of a joint at the motion of a row, in units of its limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct TorqueChanges {
+    /// From the loaded set to the learnt one.
+    learnt: f32,
+    /// From the learnt set to the estimate.
+    estimate: f32,
+}
+
 /// State of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerState<const N: usize, const P: usize> {
@@ -78,9 +87,10 @@ pub struct LearnerState<const N: usize, const P: usize> {
     frozen: Option<Reason>,
     /// Ticks until a freeze ends: its measurements have to leave the window.
     resume_in: u32,
-    /// Torque change of each joint by a new share and by a new set in this round, in units of the torque limit; `None` if
-    /// unknown.
-    round_steps: [Option<[f32; 2]>; N],
+    /// Torques of the newest row of each joint since the last round in which all were known.
+    round_changes: [Option<TorqueChanges>; N],
+    /// Ticks since that round.
+    round_ticks: u32,
     /// Expected variance of each joint's last innovation, in units of the configured noise.
     innovation_variance: [f32; N],
 }
@@ -140,7 +150,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 generation: None,
                 frozen: None,
                 resume_in: 0,
-                round_steps: [None; N],
+                round_changes: [None; N],
+                round_ticks: 0,
                 innovation_variance: [1.0; N],
             },
             only_joint: None,
@@ -276,7 +287,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let measured = sample.measured.as_ref();
         window.push(measured.filter(|measured| window.reaches(&measured.q, steps)));
         let joint = sample.tick as usize % N;
-        let mut step = None;
+        let (mut changes, mut waits) = (None, false);
         let prepared = self.state.estimate.add_prior_factors::<A>();
         let generation = sample.generation;
         let current = *self.state.generation.get_or_insert(generation) == generation;
@@ -284,19 +295,24 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         if learns {
             match self.state.window.conditioned(self.config.inv_period) {
                 Some(conditioned) if prepared => {
-                    step = self.process_sample(sample.tick, joint, &conditioned);
+                    changes = self.process_sample(sample.tick, joint, &conditioned);
                 }
                 Some(_) => increment(&mut self.state.statistics.incomplete),
                 None => {
-                    if !self.state.window.is_full() {
+                    // A sensor slower than the joint's turns: its last row stands for the round.
+                    waits = self.state.window.is_full();
+                    if !waits {
                         self.state.supervisor.reset_blocks();
                     }
                     increment(&mut self.state.statistics.incomplete);
                 }
             }
         }
-        if let Some(slot) = self.state.round_steps.get_mut(joint) {
-            *slot = step;
+        if let (Some(slot), false) = (self.state.round_changes.get_mut(joint), waits) {
+            *slot = changes;
+            if changes.is_none() {
+                self.state.round_ticks = 0;
+            }
         }
         if current && joint == N - 1 {
             self.close_round(sample.tick);
@@ -345,7 +361,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         state.closed_round = None;
         state.frozen = None;
         state.resume_in = 0;
-        state.round_steps = [None; N];
+        // Its torques are those of the gains of before.
+        state.window.reset();
+        state.forget_round();
     }
 }
 
@@ -360,6 +378,12 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         let mut set = self.active;
         self.supervisor.learnt.set.write(&mut set);
         set
+    }
+
+    /// Wait for new rows of all joints.
+    fn forget_round(&mut self) {
+        self.round_changes = [None; N];
+        self.round_ticks = 0;
     }
 
     /// State of the supervisor.

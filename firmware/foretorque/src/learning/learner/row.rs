@@ -1,6 +1,6 @@
 //! Learning from one torque row: quality, estimate, evidence for the shares, network candidate.
 
-use super::{Learner, increment};
+use super::{Learner, TorqueChanges, increment};
 use crate::arm::Arm;
 use crate::dynamics::Pose;
 use crate::joint::JointVector;
@@ -47,7 +47,7 @@ struct JointRow<'a, const P: usize> {
 impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     /// Learn one row of `joint` and count its outcome.
     ///
-    /// * returns the torque changes of the joint by the next share and set, in units of its limit; `None` if they are unknown
+    /// * returns the torque changes of the joint; `None` if they are unknown
     #[inline(never)]
     pub(super) fn learn_row(
         &mut self,
@@ -55,8 +55,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         joint: usize,
         sample: &ConditionedSample<N>,
         pose: &Pose<N>,
-    ) -> Option<[f32; 2]> {
-        let (outcome, step) = self.row(tick, joint, sample, pose);
+    ) -> Option<TorqueChanges> {
+        let (outcome, changes) = self.row(tick, joint, sample, pose);
         let statistics = &mut self.state.statistics;
         increment(match outcome {
             RowOutcome::Gated => &mut statistics.gated,
@@ -64,7 +64,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             RowOutcome::Frozen => &mut statistics.frozen,
             RowOutcome::Accepted => &mut statistics.accepted,
         });
-        step
+        changes
     }
 
     /// Row of `joint`: used if the joint moves, else recorded as standstill.
@@ -75,7 +75,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         joint: usize,
         sample: &ConditionedSample<N>,
         pose: &Pose<N>,
-    ) -> (RowOutcome, Option<[f32; 2]>) {
+    ) -> (RowOutcome, Option<TorqueChanges>) {
         let (Some(limits), Some(&qd), Some(&tau)) = (
             A::limits().get(joint),
             sample.motion.qd.get(joint),
@@ -116,12 +116,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let estimate = state.estimate.parameters();
         let estimated =
             columns.friction_dot(joint, estimate) + columns.rigid_dot(estimate) - loaded;
-        let before = supervisor.learnt.share.joint.get(joint).copied();
-        let (before, after) = (before.unwrap_or_default(), self.share(joint));
-        let largest = if after > before { after } else { before };
-        let by_share = (after - before).abs() * learnt.abs();
-        let by_set = largest * (estimated - learnt).abs();
-        (outcome, Some([by_share * inv_limit, by_set * inv_limit]))
+        let changes = TorqueChanges {
+            learnt: learnt.abs() * inv_limit,
+            estimate: (estimated - learnt).abs() * inv_limit,
+        };
+        (outcome, Some(changes))
     }
 
     /// Use the row of a moving joint: quality always; estimate, evidence, network and range while learning.

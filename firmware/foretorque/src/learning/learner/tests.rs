@@ -1,10 +1,11 @@
 use super::*;
 use crate::arm::ur5::Ur5;
-use crate::dynamics::{DISSIPATION_BOUNDS, FrictionColumn, rnea};
+use crate::dynamics::{DISSIPATION_BOUNDS, FRICTION_COLUMNS, FrictionColumn, rnea};
 use crate::joint::{JointMeasurement, JointMotion, JointVector};
 use crate::learning::Request;
 use crate::learning::conditioning::{MAX_BRIDGED, TAPS};
 use crate::learning::payload::{NO_PAYLOAD, payload_base};
+use crate::learning::supervisor::payload_test::PayloadDecision;
 use crate::limits::Flags;
 
 const N: usize = 6;
@@ -138,9 +139,11 @@ fn no_joint_stops_the_share_of_another() {
         let mut learner = learner();
         let most = learner.config.torque_step;
         learner.state.supervisor.learnt.share.joint = [1.0; N];
-        learner.state.round_steps = [Some([0.0; 2]); N];
-        learner.state.round_steps[0] = Some([0.4 * most, 0.4 * most]);
-        learner.state.round_steps[5] = Some([30.0 * most, 30.0 * most]);
+        learner.state.round_changes = [Some(TorqueChanges::default()); N];
+        for (joint, torque) in [(0, 0.4 * most), (5, 30.0 * most)] {
+            let (learnt, estimate) = (torque, torque);
+            learner.state.round_changes[joint] = Some(TorqueChanges { learnt, estimate });
+        }
         learner.follow(moves_set);
         let share = learner.state.supervisor.learnt.share.joint;
         let left = if moves_set {
@@ -154,8 +157,10 @@ fn no_joint_stops_the_share_of_another() {
     // The set may take all of the step, or by rounding a little more.
     for part in 1..1000 {
         let mut learner = learner();
-        learner.state.round_steps = [Some([0.0; 2]); N];
-        learner.state.round_steps[1] = Some([0.0, 1.37e-3 * part as f32]);
+        learner.state.supervisor.learnt.share.joint = [1.0; N];
+        learner.state.round_changes = [Some(TorqueChanges::default()); N];
+        let (learnt, estimate) = (0.0, 1.37e-3 * part as f32);
+        learner.state.round_changes[1] = Some(TorqueChanges { learnt, estimate });
         learner.follow(true);
         let share = learner.state.supervisor.learnt.share.joint;
         assert_eq!(share, [0.0; N], "{part}");
@@ -542,4 +547,53 @@ fn a_body_put_down_at_rest_is_released_unless_friction_may_hide_it() {
     assert!((1050..1200).contains(&ticks), "{ticks}");
     assert_eq!(released_at_rest(10.0, true), None, "friction");
     assert_eq!(released_at_rest(0.5, false), None, "a body");
+}
+
+#[test]
+fn relearning_raises_no_variance_at_rest() {
+    let mut learner = learner();
+    learn_ticks(&mut learner, 0..600, true);
+    learner.state.supervisor.state.phase = Phase::Relearning;
+    learner.state.supervisor.state.relearning_ticks = 5000;
+    learner.state.report.quality.phase = Phase::Relearning;
+    let variances = |learner: &Learner<Ur5, N, P>| {
+        let filter = learner.state.estimate.filter();
+        let of_joint = |joint| {
+            let column = move |column| filter.friction_variance(joint, column);
+            (0..FRICTION_COLUMNS).map(column)
+        };
+        (0..N).flat_map(of_joint).collect::<std::vec::Vec<_>>()
+    };
+    let rest = |learner: &mut Learner<Ur5, N, P>, ticks: core::ops::Range<u32>| {
+        for tick in ticks {
+            // No sample is a copy of the one before.
+            let mut at_rest = measured(599, 2.0, 20.0);
+            at_rest.tau[0] += 1e-3 * (tick % 7) as f32;
+            learner.study(&sample_of(tick, Some(at_rest), true));
+        }
+        variances(learner)
+    };
+    // The window still has motion.
+    let before = rest(&mut learner, 600..700);
+    assert_eq!(rest(&mut learner, 700..1900), before);
+    learn_ticks(&mut learner, 1900..2500, true);
+    assert_ne!(variances(&learner), before);
+}
+
+#[test]
+fn friction_learnt_under_a_payload_leaves_the_evidence_of_before_little_weight() {
+    let mut learner = learner();
+    learn_ticks(&mut learner, 0..600, true);
+    let pause = learner.config.supervisor.pause_blocks;
+    for (blocks, fades) in [(pause - 1, false), (pause, true)] {
+        let supervisor = &mut learner.state.supervisor;
+        supervisor.keep_checkpoint();
+        supervisor.carries_payload = true;
+        supervisor.blocks_carried = blocks;
+        let before = supervisor.before_payload.learnt.evidence;
+        learner.end_payload_test(600, PayloadDecision::Promote);
+        let supervisor = &learner.state.supervisor;
+        assert_eq!(supervisor.blocks_carried, 0);
+        assert_eq!(supervisor.before_payload.learnt.evidence != before, fades);
+    }
 }

@@ -96,6 +96,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 // Rows of the window contain the body. Under a payload the checkpoint of before it is kept for the release.
                 if !supervisor.carries_payload {
                     supervisor.checkpoints[1] = supervisor.before_payload;
+                } else if supervisor.blocks_carried >= self.config.supervisor.pause_blocks {
+                    supervisor.fade_evidence_of_before(self.config.lasting_part());
                 }
                 state.restore();
                 let supervisor = &mut state.supervisor;
@@ -168,9 +170,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let state = &mut self.state;
         let restored = core::mem::take(&mut state.restored);
         let moves = core::mem::take(&mut state.moves);
-        let known = !restored && state.round_steps.iter().all(Option::is_some);
+        let known = !restored && state.round_changes.iter().all(Option::is_some);
+        state.round_ticks = state.round_ticks.saturating_add(N as u32);
         if state.phase().learns() && known {
-            if state.phase() == Phase::Relearning {
+            if moves && state.phase() == Phase::Relearning {
                 state.raise_friction_variance(self.config.supervisor.raised_variance);
             }
             let shares = self.shares();
@@ -179,7 +182,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             // In the first moments, friction that the loaded set lacks may oppose its torques.
             let known = supervisor.rows >= self.config.supervisor.training_rows;
             let evidence = Evidence::Round(Round {
-                ticks: N as u32,
+                ticks: self.state.round_ticks,
                 moves,
                 share: learnt.common(&shares),
                 reversed: known && learnt.is_reversed(),
@@ -188,7 +191,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             self.decide_on(tick, None, evidence);
         }
         let state = &mut self.state;
-        state.round_steps = [None; N];
+        if known || restored {
+            state.forget_round();
+        }
         let age = tick.checked_rem(self.config.supervisor.checkpoint_ticks);
         let due = age.is_some_and(|age| age < N as u32);
         if state.phase() == Phase::Healthy && due {
@@ -207,22 +212,29 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let shares = self.shares();
         let state = &mut self.state;
         let most = self.config.torque_step;
+        let learnt = &mut state.supervisor.learnt;
+        let mut steps = [[0.0; 2]; N];
         let mut largest = most;
-        for &[by_share, by_set] in state.round_steps.iter().flatten() {
-            let step = by_share + by_set;
-            if !step.is_finite() {
+        let joints = learnt.share.joint.iter().zip(&shares);
+        for ((own, share), (step, changes)) in
+            joints.zip(steps.iter_mut().zip(&state.round_changes))
+        {
+            let changes = changes.unwrap_or_default();
+            let by_share = (share - own).abs() * changes.learnt;
+            let by_set = own.max(*share) * changes.estimate;
+            let both = by_share + by_set;
+            if !both.is_finite() {
                 return;
             }
-            if step > largest {
-                largest = step;
+            if both > largest {
+                largest = both;
             }
+            *step = [by_share, by_set];
         }
         // Part of the way of the set.
         let part = if moves_set { most / largest } else { 0.0 };
-        let learnt = &mut state.supervisor.learnt;
         let joints = learnt.share.joint.iter_mut().zip(&shares);
-        for ((own, share), steps) in joints.zip(&state.round_steps) {
-            let [by_share, by_set] = steps.unwrap_or_default();
+        for ((own, share), [by_share, by_set]) in joints.zip(steps) {
             // Rounding must leave no part below zero.
             let left = (most - part * by_set).max(0.0);
             let way = share - *own;
@@ -317,13 +329,12 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         if !core::mem::take(&mut supervisor.carries_payload) {
             return;
         }
+        if supervisor.blocks_carried >= config.supervisor.pause_blocks {
+            supervisor.fade_evidence_of_before(config.lasting_part());
+        }
         let before = &mut supervisor.before_payload;
         before.estimate.friction = self.estimate.parameters().friction;
         before.learnt.set.friction = supervisor.learnt.set.friction;
-        if supervisor.blocks_carried >= config.supervisor.pause_blocks {
-            // The evidence is that for the friction of before.
-            before.learnt.evidence.fade(config.lasting_part());
-        }
         // A set committed on request contains part of the payload.
         self.commit_due |= before.learnt.set.rigid != supervisor.learnt.set.rigid;
         supervisor.checkpoints[1] = *before;

@@ -162,6 +162,11 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         self.carries_payload && self.payload_benefit.is_cost(config.lasting_blocks)
     }
 
+    /// Fade the evidence of before the payload to `part`: friction learnt under it is another one.
+    pub(super) fn fade_evidence_of_before(&mut self, part: f32) {
+        self.before_payload.learnt.evidence.fade(part);
+    }
+
     /// True if the estimate pauses under a payload, or with evidence for one.
     ///
     /// A release restores the parameters of before the payload. Rows learnt meanwhile would be lost, but the covariance

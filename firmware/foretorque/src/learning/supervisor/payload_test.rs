@@ -5,6 +5,7 @@ use crate::learning::decision::Reason;
 use crate::learning::payload::{
     PAYLOAD_PARAMETERS, Payload, PayloadFilter, payload_estimate, payload_sigma, payload_torque,
 };
+use crate::limits::cut;
 
 /// Result of a payload test.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,52 +59,57 @@ const EMPTY_PART: f32 = 0.8;
 /// Benefit of the payload in the torque: whether the torques measured lately are nearer to those of the active set with it.
 ///
 /// ```text
-/// v = Σ d r / Σ d²     d = torque of the payload     r = measured − active without payload
+/// Σ d (r − d/2) < 0     d = torque of the payload     r = measured − active without payload
 /// ```
-/// The least-squares share v is near 1 under a body. Below 1/2 the squared error with the payload is larger than without it:
-/// the hand is empty, or an error of the model on one part of a path was taken for a body.
+/// Then the squared error with the payload is larger than without it: the hand is empty, or an error of the model on one part
+/// of a path was taken for a body.
+///
+/// While only joints move that carry next to nothing of the body, the others carry it still. So a block forgets in proportion
+/// to its own Σ d², and r counts as −d at least and 2 d at most, however large errors of the model are beside d.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PayloadBenefit {
-    /// Σ d r and Σ d², faded.
-    cross: f32,
+    /// Σ d (r − d/2), faded.
+    sum: f32,
+    /// Σ d² of the present block, and the largest one of a block.
     power: f32,
+    most: f32,
     /// Blocks with rows.
     blocks: u32,
-    /// True with rows in the present block.
-    moves: bool,
 }
 
 impl PayloadBenefit {
     /// Benefit without rows.
     pub(crate) const NONE: Self = Self {
-        cross: 0.0,
+        sum: 0.0,
         power: 0.0,
+        most: 0.0,
         blocks: 0,
-        moves: false,
     };
 
     /// Add a row, in units of the torque limit.
     ///
     /// * `payload` torque of the payload      * `lacking` torque that the active set lacks without it
     pub(crate) fn add_row(&mut self, payload: f32, lacking: f32) {
-        self.cross += payload * lacking;
+        let gain = cut(lacking - 0.5 * payload, 1.5 * payload.abs()).0;
+        self.sum += payload * gain;
         self.power += payload * payload;
-        self.moves = true;
     }
 
-    /// End of a block; `memory` of the sums, blocks of motion: at rest nothing is forgotten.
+    /// End of a block; `memory` of the sum, blocks like that with the most: at rest nothing is forgotten.
     pub(crate) fn end_block(&mut self, memory: u32) {
-        if core::mem::take(&mut self.moves) {
-            let fade = 1.0 - 1.0 / memory as f32;
-            self.cross *= fade;
-            self.power *= fade;
+        let power = core::mem::take(&mut self.power);
+        if power > 0.0 {
+            if power > self.most {
+                self.most = power;
+            }
+            self.sum *= 1.0 - power / (self.most * memory as f32);
             self.blocks = self.blocks.saturating_add(1);
         }
     }
 
     /// True if the torques of at least `memory` blocks are nearer to those without the payload.
     pub(crate) fn is_cost(&self, memory: u32) -> bool {
-        self.blocks > memory && self.cross < 0.5 * self.power
+        self.blocks > memory && self.sum < 0.0
     }
 }
 

@@ -133,14 +133,15 @@ impl<'a> Comparison<'a> {
     /// them far better.
     fn unsigned(&self) -> Option<String> {
         let unsigned = self.joints().filter(|&joint| {
-            let rest = |sign: &dyn Fn(usize) -> f64| {
+            // Squares, not shares: two signs give a sensor's zero the variance of a square wave, which friction explains.
+            let left = |sign: &dyn Fn(usize) -> f64| {
                 let tau = |row: usize| self.rows[row].1[joint].copysign(sign(row));
-                self.explained(joint, &tau).rest
+                self.explained(joint, &tau).square
             };
             self.extremes[joint].unsigned() && {
-                let links = rest(&|row| self.of_links[row][0][joint]);
-                let drive = rest(&|row| self.states[row].qd[joint]);
-                (self.own[joint].rest / f64::min(links, drive)).ln() > SIGN_EVIDENCE
+                let links = left(&|row| self.of_links[row][0][joint]);
+                let drive = left(&|row| self.states[row].qd[joint]);
+                (self.own[joint].square / f64::min(links, drive)).ln() > SIGN_EVIDENCE
             }
         });
         let unsigned = numbers(unsigned);

@@ -18,6 +18,8 @@ const ROUNDS: usize = 300;
 pub(super) struct Explained {
     /// Share of the variance left.
     pub(super) rest: f64,
+    /// Square left, (N·m)²; what rounding leaves of an exact torque is not known.
+    pub(super) square: f64,
     /// Torque over that of the description's links.
     pub(super) scale: f64,
     /// Likewise, with all errors in the description's torque, as those of noisy accelerations: the regression the other way.
@@ -121,6 +123,7 @@ pub(super) fn explain(
     let Some(inverse) = gram.try_inverse() else {
         return Explained {
             rest: 1.0,
+            square: normal.2,
             scale: 1.0,
             scale_back: 1.0,
             deviation: f64::INFINITY,
@@ -140,6 +143,7 @@ pub(super) fn explain(
         } else {
             1.0
         },
+        square: rest.max(1e-9 * normal.2),
         scale: beta[0],
         scale_back: beta[0] + rest * inverse[(0, 0)] / beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),

@@ -212,8 +212,14 @@ fn other_gravity(
         let torques = (0..states.len()).map(|row| (0..3).map(|axis| along(row, axis)).sum::<f64>());
         torques.map(|torque| torque.powi(2)).sum::<f64>()
     };
-    let mut moved = of_centres(bare, states).into_iter().enumerate();
-    if !moved.any(|(joint, moved)| changed(joint) > CERTAIN * CERTAIN * moved) {
+    // Of all joints together: under vertical gravity, centres of mass give an upright axis no torque.
+    let share = |joint: usize| bare.joints[joint].limits.torque.powi(-2);
+    let moved = of_centres(bare, states).into_iter().enumerate();
+    let moved: f64 = moved.map(|(joint, moved)| share(joint) * moved).sum();
+    let changed: f64 = (0..bare.joint_count())
+        .map(|joint| share(joint) * changed(joint))
+        .sum();
+    if changed <= CERTAIN * CERTAIN * moved {
         return None;
     }
     Some(Reading {
@@ -362,6 +368,15 @@ mod tests {
         assert_eq!(read(&arm, &own, 0.0, 1.0), None);
         let text = read(&arm, &arm, 0.5, 1.0).expect("a slope");
         assert!(text.contains("gravity_m_s2 = [4.7, 0.0, -8.6]"), "{text}");
+    }
+
+    /// The upright axis has no torque but that of the slope, however little it is.
+    #[test]
+    fn a_base_that_is_nearly_level_is_no_other_gravity() {
+        let arm = Robot::load("ur5").expect("built in");
+        assert_eq!(read(&arm, &arm, 0.02, 1.0), None);
+        let text = read(&arm, &arm, 0.3, 1.0).expect("a slope");
+        assert!(text.contains("a base turned by 0.30 rad"), "{text}");
     }
 
     /// All axes of the arm are vertical, and its base is on a slope.
