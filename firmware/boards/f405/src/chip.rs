@@ -12,9 +12,9 @@ pub const PLL_INPUT_HZ: u32 = 2_000_000;
 pub const PLL_N: u16 = 168;
 /// Factor Q: 336 MHz / 7 = 48 MHz for USB and the random number generator.
 pub const PLL_Q: u8 = 7;
-/// Processor cycles of the shortest period: tick and learning step (120 000 with seven joints, 160 000 with eight), both
-/// directions of the link (25 000) and commands (10 %), by the estimates of docs/budget.md. At 168 MHz 1 ms, and 1.25 ms with
-/// eight joints; ten times as long on the bare oscillator.
+/// Processor cycles of the shortest period: tick and learning step (90 000 with seven joints, 110 000 with eight), both
+/// directions of the link (29 000, 33 000) and commands (10 %), by the estimates of docs/budget.md. At 168 MHz 1 ms, and
+/// 1.25 ms with eight joints; 10.5 times as long on the bare oscillator.
 pub const fn period_cycles(joints: usize) -> u32 {
     if joints > 7 { 210_000 } else { 168_000 }
 }
