@@ -41,7 +41,7 @@ reasons! {
     Transient = 6, "transient disturbance";
     /// Rollback to the snapshot, on request.
     RolledBack = 7, "rolled back";
-    /// Payload released: the parameters are those of before it. Figure: mass, kg.
+    /// Payload released: the rigid body is that of before it, friction stays. Figure: mass, kg.
     Released = 8, "payload released";
     /// Commit of the active set, on request.
     Committed = 9, "committed on request";

@@ -44,6 +44,7 @@
 //!          │                                     │◄─────────────────│ 2 Relearning   │
 //!          └─────────────────────────────────────┘                  └────────────────┘
 //! every state ── emergency stop (16) ──► 3 Stopped ── learning off (17) ──► 0 Healthy
+//! every state but Stopped ── rollback with a snapshot (7), zero payload (11) ──► 0 Healthy
 //! ```
 //!
 //! * Healthy: the learnt set moves to the estimate and the shares to their evidence, by at most 0.83 of the torque limit a
@@ -51,7 +52,7 @@
 //! * alarm: the CUSUM of a joint exceeds 25. Estimate, learnt set and shares return to the checkpoint of 0.128 s to 0.256 s
 //!   ago and are frozen.
 //! * payload test: five blocks of 10 ms in a row decide for a payload (2), its release (8), or a transient (6). While healthy
-//!   it runs in windows of at most 3 s and finds payloads (2, 8) that stay below the CUSUM of every joint. A payload that
+//!   it runs in windows of at most 10 s and finds payloads (2, 8) that stay below the CUSUM of every joint. A payload that
 //!   makes the torque worse for 1.5 s is released (8).
 //! * relearning: the variance of friction is raised and the estimate learns on; the learnt set stays, the shares move on new
 //!   evidence. Its time, as that of the payload test, counts while the arm moves.
