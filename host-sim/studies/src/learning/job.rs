@@ -14,6 +14,7 @@ use foretorque_workbench::plant::{Events, Payload, Plant, PlantConfig, PlantEffe
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
+use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -218,6 +219,8 @@ impl<const N: usize> Bench<N> {
 /// First event and time from one to the next, s; a payload is held for half of it.
 const FIRST_EVENT_S: f64 = 12.0;
 const CYCLE_S: f64 = 10.0;
+/// Distance of a payload's centre of mass from the flange, m: bolted on, or in a gripper.
+const TOOL_REACH_M: std::ops::Range<f64> = 0.05..0.25;
 
 impl Scenario {
     /// The plant, its mechanics apart.
@@ -297,7 +300,9 @@ impl Scenario {
                 Event::None => break,
                 Event::Payloads(share) => {
                     let to_s = from_s + 0.5 * CYCLE_S;
-                    let payload = Payload::cube(share * rated, [0.02, -0.01, 0.05], from_s, to_s);
+                    let tool = Vector3::new(0.02, -0.01, random.random_range(TOOL_REACH_M));
+                    let com = robot.flange.point(&tool).into();
+                    let payload = Payload::cube(share * rated, com, from_s, to_s);
                     events.payloads.push(payload);
                 }
                 Event::Pushes => events.pushes.push(push(robot, from_s, &mut random)),

@@ -70,9 +70,11 @@ const EMPTY_PART: f32 = 0.8;
 pub(crate) struct PayloadBenefit {
     /// Σ d (r − d/2), faded.
     sum: f32,
-    /// Σ d² of the present block, and the largest one of a block.
+    /// Σ d² of the present block.
     power: f32,
-    most: f32,
+    /// Sum of the blocks' Σ d², and of its squares, faded.
+    powers: f32,
+    squares: f32,
     /// Blocks with rows.
     blocks: u32,
 }
@@ -82,7 +84,8 @@ impl PayloadBenefit {
     pub(crate) const NONE: Self = Self {
         sum: 0.0,
         power: 0.0,
-        most: 0.0,
+        powers: 0.0,
+        squares: 0.0,
         blocks: 0,
     };
 
@@ -95,14 +98,18 @@ impl PayloadBenefit {
         self.power += payload * payload;
     }
 
-    /// End of a block; `memory` of the sum, blocks like that with the most: at rest nothing is forgotten.
+    /// End of a block; `memory` of the sums, blocks of the usual Σ d²: at rest nothing is forgotten.
     pub(crate) fn end_block(&mut self, memory: u32) {
         let power = core::mem::take(&mut self.power);
         if power > 0.0 {
-            if power > self.most {
-                self.most = power;
+            self.powers += power;
+            self.squares += power * power;
+            // The mean, each block weighted by its own: those with next to nothing of the body do not lower it.
+            let usual = self.squares / self.powers;
+            let fade = 1.0 - power / (usual * memory as f32);
+            for sum in [&mut self.sum, &mut self.powers, &mut self.squares] {
+                *sum *= fade.max(0.0);
             }
-            self.sum *= 1.0 - power / (self.most * memory as f32);
             self.blocks = self.blocks.saturating_add(1);
         }
     }
