@@ -378,6 +378,29 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     let replay = "replay --robot ur5 --log bad.csv --out replayed";
     here.refused(replay, "another arm");
     here.succeeds(format!("{replay} --force"));
+    // A bus slower than the log, every fourth row of which is the one before.
+    let learnt = |change: &dyn Fn(&mut Vec<Row>)| {
+        here.write("slow.csv", planted(&good, change));
+        here.succeeds("replay --robot ur5 --log slow.csv --out replayed".to_owned());
+        let report = here.json("replayed/report.json");
+        report["rows_accepted_count"].as_u64().expect("a count")
+    };
+    let every_other = |rows: &mut Vec<Row>| {
+        let mut number = 0;
+        rows.retain(|_| {
+            number += 1;
+            number % 2 == 0
+        });
+    };
+    let copies = |rows: &mut Vec<Row>| {
+        every_other(rows);
+        for k in (3..rows.len()).step_by(4) {
+            let before = rows[k - 1][1..].to_vec();
+            rows[k][1..].copy_from_slice(&before);
+        }
+    };
+    let [all, slow] = [learnt(&every_other), learnt(&copies)];
+    assert!(slow > 3 * all / 4, "{slow} of {all}");
     // A sound log of a plant that is not its description passes, and so does a refused one by force.
     // A refused one leaves the bank of before.
     let bank = here.join("out/parameters.bank");

@@ -146,8 +146,8 @@ impl<const N: usize, const P: usize> FeedForwardState<N, P> {
         self.active_difference
             .update(set, &share.joint, &self.loaded);
         self.active = *set;
-        let [loaded, learnt] = [&self.loaded, set].map(LinearParameters::of);
-        let single = share.single_set(&loaded, &learnt);
+        let loaded = LinearParameters::of(&self.loaded);
+        let single = share.single_set(&loaded, &LinearParameters::of(set));
         single.write(&mut self.active);
     }
 

@@ -199,6 +199,7 @@ impl<const N: usize> ShareEvidence<N> {
 
     /// Let the rows of a joint count as `part` of them from its next row on: those to come decide soon. A joint at rest keeps
     /// its share.
+    #[inline(never)]
     pub(super) fn fade(&mut self, part: f32) {
         self.joints
             .iter_mut()

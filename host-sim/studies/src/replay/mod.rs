@@ -12,7 +12,7 @@ use foretorque::arm::Arm;
 use foretorque::arm::ur5::{self, PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, FeedForwardState, ParameterSet};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig, StartDeviations};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, MAX_BRIDGED, StartDeviations};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
@@ -142,6 +142,7 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let loaded = FeedForwardState::new(start.set);
     let mut predicted = Predictions::default();
     let mut before: Option<JointMeasurement<N>> = None;
+    let mut copies = 0;
     // What follows does not join on to what came before.
     board.tick(None);
     for row in &stretch.rows {
@@ -156,9 +157,15 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         history.push_back(*newest);
         let aged = torques(history.front().unwrap_or(&loaded));
         predicted.aged.extend(aged.iter());
+        // Of a bus slower than the log: no measurement. At rest all rows are copies.
+        if before == Some(row.measured) && usize::from(copies) < MAX_BRIDGED {
+            copies += 1;
+            continue;
+        }
         let from = before.unwrap_or(row.measured);
-        for k in 1..=start.ticks() {
-            let share = f32::from(k) / f32::from(start.ticks());
+        let ticks = start.ticks() * (1 + core::mem::take(&mut copies));
+        for k in 1..=ticks {
+            let share = f32::from(k) / f32::from(ticks);
             board.tick(Some(&JointSample {
                 desired,
                 measured: Some(JointMeasurement {

@@ -1,6 +1,6 @@
 //! Decisions of the supervisor carried out: freeze, alarm, end of a payload test, requests, and the close of a round.
 
-use super::{Learner, LearnerState};
+use super::{Learner, LearnerState, TorqueChanges};
 use crate::arm::Arm;
 use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 use crate::learning::change_detection::ChangeDetector;
@@ -213,33 +213,33 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let state = &mut self.state;
         let most = self.config.torque_step;
         let learnt = &mut state.supervisor.learnt;
-        let mut steps = [[0.0; 2]; N];
         let mut largest = most;
+        // From changes to steps: by the share, and by the set.
         let joints = learnt.share.joint.iter().zip(&shares);
-        for ((own, share), (step, changes)) in
-            joints.zip(steps.iter_mut().zip(&state.round_changes))
-        {
-            let changes = changes.unwrap_or_default();
-            let by_share = (share - own).abs() * changes.learnt;
-            let by_set = own.max(*share) * changes.estimate;
-            let both = by_share + by_set;
+        for ((own, share), changes) in joints.zip(&mut state.round_changes) {
+            let Some(TorqueChanges { learnt, estimate }) = changes else {
+                continue;
+            };
+            *learnt *= (share - own).abs();
+            *estimate *= if own > share { own } else { share };
+            let both = *learnt + *estimate;
             if !both.is_finite() {
                 return;
             }
             if both > largest {
                 largest = both;
             }
-            *step = [by_share, by_set];
         }
         // Part of the way of the set.
         let part = if moves_set { most / largest } else { 0.0 };
         let joints = learnt.share.joint.iter_mut().zip(&shares);
-        for ((own, share), [by_share, by_set]) in joints.zip(steps) {
+        for ((own, share), step) in joints.zip(&state.round_changes) {
+            let TorqueChanges { learnt, estimate } = step.unwrap_or_default();
             // Rounding must leave no part below zero.
-            let left = (most - part * by_set).max(0.0);
+            let left = (most - part * estimate).max(0.0);
             let way = share - *own;
-            *own = if by_share > left {
-                *own + way * left / by_share
+            *own = if learnt > left {
+                *own + way * left / learnt
             } else {
                 *share
             };

@@ -104,12 +104,11 @@ impl PayloadBenefit {
         if power > 0.0 {
             self.powers += power;
             self.squares += power * power;
-            // The mean, each block weighted by its own: those with next to nothing of the body do not lower it.
-            let usual = self.squares / self.powers;
-            let fade = 1.0 - power / (usual * memory as f32);
-            for sum in [&mut self.sum, &mut self.powers, &mut self.squares] {
-                *sum *= fade.max(0.0);
-            }
+            // Σ p²/Σ p is their mean, each weighted by its own: those with next to nothing of the body do not lower it.
+            let fade = 1.0 - power * self.powers / (self.squares * memory as f32);
+            self.sum *= fade;
+            self.powers *= fade;
+            self.squares *= fade;
             self.blocks = self.blocks.saturating_add(1);
         }
     }
