@@ -34,7 +34,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE", requires = "bank")]
     key_file: Option<PathBuf>,
     /// Seed of the validation path
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, conflicts_with = "input")]
     seed: u64,
     /// Table to write: tau1_nm…; with a bank also rigid1_nm…, friction1_nm…, network1_nm…; of coupled joints, whose
     /// torques have the described friction, also rigid1_nm…, friction1_nm…

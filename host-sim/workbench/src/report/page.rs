@@ -161,14 +161,26 @@ impl Section {
 
 impl Part {
     fn html(&self) -> Result<String, PlotError> {
-        let cells = |tag: &str, row: &mut dyn Iterator<Item = &str>| -> String {
-            row.map(|cell| format!("<{tag}>{}</{tag}>", escape(cell)))
-                .collect()
-        };
         Ok(match self {
             Self::Plots(panels, columns) => grid(panels, *columns)?,
             Self::Command(line) => format!("<pre>{}</pre>\n", escape(line)),
             Self::Table(header, rows) => {
+                // Words stand to the left, numbers to the right.
+                let is_text = |column: usize| {
+                    let mut cells = rows.iter().filter_map(|row| row.get(column));
+                    cells.any(|cell| cell.starts_with(char::is_alphabetic))
+                };
+                let cells = |tag: &str, row: &mut dyn Iterator<Item = &str>| -> String {
+                    let cells = row.enumerate().map(|(column, cell)| {
+                        let class = if is_text(column) {
+                            " class=\"text\""
+                        } else {
+                            ""
+                        };
+                        format!("<{tag}{class}>{}</{tag}>", escape(cell))
+                    });
+                    cells.collect()
+                };
                 let head = cells("th", &mut header.split(" | "));
                 let rows = rows.iter().map(|row| {
                     let class = class_of(row);
@@ -229,11 +241,14 @@ mod tests {
         let section = Section::new("h", "c").legend([(PlotColor::After, "\"after\"")]);
         let page = Page::new("a < b", "lead & more")
             .card(1, "<one>")
-            .sections([section.table("name | x", [["<row>".to_owned(), "2".to_owned()]])]);
+            .sections([section.table("name | x | y", [["<row>", "2", "no"].map(str::to_owned)])]);
         let page = page.html().expect("no plots");
         for fetched in ["http", "src=", "@import", "url(", "<script"] {
             assert!(!page.contains(fetched), "{fetched}");
         }
-        assert!(page.contains("<td>&lt;row&gt;</td><td>2</td>") && page.contains("&lt;one&gt;"));
+        assert!(
+            page.contains("<td>&lt;row&gt;</td><td>2</td><td class=\"text\">no")
+                && page.contains("&lt;one&gt;")
+        );
     }
 }
