@@ -381,7 +381,7 @@ fn each_planted_mistake_is_named_and_none_yields_a_bank() {
     // A bus slower than the log, every fourth row of which is the one before.
     let learnt = |change: &dyn Fn(&mut Vec<Row>)| {
         here.write("slow.csv", planted(&good, change));
-        here.succeeds("replay --robot ur5 --log slow.csv --out replayed".to_owned());
+        here.succeeds("replay --robot ur5 --log slow.csv --out replayed --force");
         let report = here.json("replayed/report.json");
         report["rows_accepted_count"].as_u64().expect("a count")
     };
