@@ -288,7 +288,7 @@ impl MotionFilter {
             ahead[1] + h * error / t,
             ahead[2] + k * error / (t * t),
         ];
-        // A command far away can leave no numbers; the next one begins anew.
+        // Beyond the range of f32 the next command starts the filter anew.
         let finite = (q + qd + qdd).is_finite();
         self.state = finite.then_some([q, qd, qdd]);
         // The position itself is known.
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_beyond_all_numbers_ends_with_the_next_ones() {
+    fn a_motion_beyond_the_range_of_f32_lasts_one_period() {
         let mut filter = MotionFilter::default();
         for (k, command) in [0.1, 1e37, 0.1, 0.1, 0.1].into_iter().enumerate() {
             filter.command = Some(command);

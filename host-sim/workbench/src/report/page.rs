@@ -166,20 +166,19 @@ impl Part {
             Self::Command(line) => format!("<pre>{}</pre>\n", escape(line)),
             Self::Table(header, rows) => {
                 // Words stand to the left, numbers to the right.
-                let is_text = |column: usize| {
+                let class = |column: usize| {
                     let mut cells = rows.iter().filter_map(|row| row.get(column));
-                    cells.any(|cell| cell.starts_with(char::is_alphabetic))
+                    match cells.any(|cell| cell.starts_with(char::is_alphabetic)) {
+                        true => " class=\"text\"",
+                        false => "",
+                    }
                 };
+                let classes: Vec<&str> = (0..header.split(" | ").count()).map(class).collect();
                 let cells = |tag: &str, row: &mut dyn Iterator<Item = &str>| -> String {
-                    let cells = row.enumerate().map(|(column, cell)| {
-                        let class = if is_text(column) {
-                            " class=\"text\""
-                        } else {
-                            ""
-                        };
-                        format!("<{tag}{class}>{}</{tag}>", escape(cell))
-                    });
-                    cells.collect()
+                    let cells = row.zip(classes.iter().chain(std::iter::repeat(&"")));
+                    cells
+                        .map(|(cell, class)| format!("<{tag}{class}>{}</{tag}>", escape(cell)))
+                        .collect()
                 };
                 let head = cells("th", &mut header.split(" | "));
                 let rows = rows.iter().map(|row| {

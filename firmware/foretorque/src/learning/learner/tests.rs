@@ -597,3 +597,18 @@ fn friction_learnt_under_a_payload_leaves_the_evidence_of_before_little_weight()
         assert_eq!(supervisor.before_payload.learnt.evidence != before, fades);
     }
 }
+
+/// Samples of eight ticks, as no configuration of six joints has them: in some of its turns a joint has none.
+#[test]
+fn time_passes_where_a_joint_has_no_row_in_some_turns() {
+    let mut learner = learner();
+    learner.config.decimation = 8;
+    learner.state.window = MeasurementWindow::new(8);
+    learn_ticks(&mut learner, 0..600, true);
+    let state = &mut learner.state.supervisor.state;
+    (state.phase, state.relearning_ticks) = (Phase::Relearning, 5000);
+    learner.state.report.quality.phase = Phase::Relearning;
+    learn_ticks(&mut learner, 600..3600, true);
+    let passed = 5000 - learner.state.supervisor.state.relearning_ticks;
+    assert!((2980..=3020).contains(&passed), "{passed}");
+}

@@ -1,6 +1,6 @@
 //! Decisions of the supervisor carried out: freeze, alarm, end of a payload test, requests, and the close of a round.
 
-use super::{Learner, LearnerState, TorqueChanges};
+use super::{Learner, LearnerState};
 use crate::arm::Arm;
 use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 use crate::learning::change_detection::ChangeDetector;
@@ -96,8 +96,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 // Rows of the window contain the body. Under a payload the checkpoint of before it is kept for the release.
                 if !supervisor.carries_payload {
                     supervisor.checkpoints[1] = supervisor.before_payload;
-                } else if supervisor.blocks_carried >= self.config.supervisor.pause_blocks {
-                    supervisor.fade_evidence_of_before(self.config.lasting_part());
+                } else {
+                    supervisor.fade_evidence_of_before(&self.config);
                 }
                 state.restore();
                 let supervisor = &mut state.supervisor;
@@ -213,16 +213,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         let state = &mut self.state;
         let most = self.config.torque_step;
         let learnt = &mut state.supervisor.learnt;
+        // Steps of each joint by its share and by the set.
+        let mut steps = [[0.0; 2]; N];
         let mut largest = most;
-        // From changes to steps: by the share, and by the set.
         let joints = learnt.share.joint.iter().zip(&shares);
-        for ((own, share), changes) in joints.zip(&mut state.round_changes) {
-            let Some(TorqueChanges { learnt, estimate }) = changes else {
-                continue;
-            };
-            *learnt *= (share - own).abs();
-            *estimate *= if own > share { own } else { share };
-            let both = *learnt + *estimate;
+        let rows = steps.iter_mut().zip(state.round_changes.iter().flatten());
+        for ((own, share), (step, changes)) in joints.zip(rows) {
+            let larger = if own > share { own } else { share };
+            *step = [
+                (share - own).abs() * changes.learnt,
+                larger * changes.estimate,
+            ];
+            let both = step[0] + step[1];
             if !both.is_finite() {
                 return;
             }
@@ -233,13 +235,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         // Part of the way of the set.
         let part = if moves_set { most / largest } else { 0.0 };
         let joints = learnt.share.joint.iter_mut().zip(&shares);
-        for ((own, share), step) in joints.zip(&state.round_changes) {
-            let TorqueChanges { learnt, estimate } = step.unwrap_or_default();
+        for ((own, share), [by_share, by_set]) in joints.zip(steps) {
             // Rounding must leave no part below zero.
-            let left = (most - part * estimate).max(0.0);
+            let left = (most - part * by_set).max(0.0);
             let way = share - *own;
-            *own = if learnt > left {
-                *own + way * left / learnt
+            *own = if by_share > left {
+                *own + way * left / by_share
             } else {
                 *share
             };
@@ -329,9 +330,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         if !core::mem::take(&mut supervisor.carries_payload) {
             return;
         }
-        if supervisor.blocks_carried >= config.supervisor.pause_blocks {
-            supervisor.fade_evidence_of_before(config.lasting_part());
-        }
+        supervisor.fade_evidence_of_before(config);
         let before = &mut supervisor.before_payload;
         before.estimate.friction = self.estimate.parameters().friction;
         before.learnt.set.friction = supervisor.learnt.set.friction;

@@ -6,6 +6,7 @@ pub(super) mod payload_test;
 pub(super) mod step;
 
 use super::change_detection::{Block, BlockAverage, ChangeDetector};
+use super::config::LearnerConfig;
 use super::parameters::LinearParameters;
 use super::payload::{NO_PAYLOAD, Payload, PayloadFilter, payload_base, payload_sigma};
 use super::quality::Phase;
@@ -162,9 +163,12 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         self.carries_payload && self.payload_benefit.is_cost(config.lasting_blocks)
     }
 
-    /// Fade the evidence of before the payload to `part`: friction learnt under it is another one.
-    pub(super) fn fade_evidence_of_before(&mut self, part: f32) {
-        self.before_payload.learnt.evidence.fade(part);
+    /// Fade the evidence of before the payload if friction was learnt under it: the evidence is that for the friction of before.
+    pub(super) fn fade_evidence_of_before(&mut self, config: &LearnerConfig<N, P>) {
+        if self.blocks_carried >= config.supervisor.pause_blocks {
+            let evidence = &mut self.before_payload.learnt.evidence;
+            evidence.fade(config.lasting_part());
+        }
     }
 
     /// True if the estimate pauses under a payload, or with evidence for one.

@@ -10,6 +10,8 @@ use nalgebra::{DMatrix, DVector, Matrix5, Vector5};
 pub(super) const SIGN_EVIDENCE: f64 = 1.0;
 /// Columns of a joint alone.
 pub(super) const COLUMNS: usize = 5;
+/// Share of the square of an exact torque that rounding leaves: no evidence.
+const ROUNDING: f64 = 1e-9;
 /// Rounds of the fit within bounds.
 const ROUNDS: usize = 300;
 
@@ -18,7 +20,7 @@ const ROUNDS: usize = 300;
 pub(super) struct Explained {
     /// Share of the variance left.
     pub(super) rest: f64,
-    /// Square left, (N·m)²; what rounding leaves of an exact torque is not known.
+    /// Square of what is left, (N·m)², at least that of rounding.
     pub(super) square: f64,
     /// Torque over that of the description's links.
     pub(super) scale: f64,
@@ -48,8 +50,7 @@ impl Explained {
             beta[k] = own.clamp(least[k], most);
         }
         let left = square - 2.0 * moment.dot(&beta) + beta.dot(&(gram * beta));
-        // What rounding leaves of an exact torque is no evidence.
-        left.max(1e-9 * square)
+        left.max(ROUNDING * square)
     }
 
     /// The torque is explained by its opposite alone.
@@ -143,7 +144,7 @@ pub(super) fn explain(
         } else {
             1.0
         },
-        square: rest.max(1e-9 * normal.2),
+        square: rest.max(ROUNDING * normal.2),
         scale: beta[0],
         scale_back: beta[0] + rest * inverse[(0, 0)] / beta[0],
         deviation: (noise * inverse[(0, 0)]).sqrt(),
