@@ -63,7 +63,6 @@ struct Import {
     public: bool,
 }
 
-/// One source file.
 struct Module {
     file: String,
     text: String,

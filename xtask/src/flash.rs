@@ -24,7 +24,6 @@ const FLASH_START: u32 = 0x0800_0000;
 /// Symbol of the words for length and checksum of the program, and their bytes (`foretorque_f405::image`).
 const SEAL: &str = "FORETORQUE_SEAL";
 const SEAL_BYTES: usize = 8;
-/// Value of an erased byte of flash.
 const ERASED: u8 = 0xff;
 /// Bytes of a line of Intel HEX.
 const HEX_LINE: usize = 16;
@@ -54,8 +53,8 @@ pub(crate) fn run(
     image_only: bool,
 ) -> Result<()> {
     let binary = binary.unwrap_or(BOARDS[0].1);
-    let mut firmware = setup::run(forced)?.board.board_cargo("build");
-    shell::run(firmware.args(["--bin", binary]))?;
+    let board = setup::run(forced)?.board;
+    shell::run(&mut board.board_cargo(&format!("build --bin {binary}")))?;
     let elf = shell::elf(binary);
     let bytes = shell::read(&elf)?;
     println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());
@@ -66,16 +65,15 @@ pub(crate) fn run(
     if image_only {
         return Ok(());
     }
-    if capture(command("probe-rs").arg("--version")).is_none() {
+    if capture(&mut command("probe-rs --version")).is_none() {
         bail!(
             "probe-rs is not installed (https://probe.rs/docs/getting-started/installation); use the \
              images above with any other programmer"
         );
     }
-    let mut download = command("probe-rs");
-    download.args(["download", "--chip", CHIP, "--verify"]);
+    let mut download = command(&format!("probe-rs download --chip {CHIP} --verify"));
     shell::run(download.arg(&sealed_elf))?;
-    shell::run(command("probe-rs").args(["reset", "--chip", CHIP]))
+    shell::run(&mut command(&format!("probe-rs reset --chip {CHIP}")))
 }
 
 /// Whether the ELF is byte for byte the one that the last demo emulated.

@@ -1,6 +1,5 @@
 //! Coverage-guided fuzzing: libFuzzer with the stable compiler, whose coverage pass needs only flags.
 
-use std::fmt::Write as _;
 use std::fs;
 use std::path::PathBuf;
 use std::process::Stdio;
@@ -31,7 +30,6 @@ const LANES: [&[Target]; 2] = [
     &[("bank", 2048, 40), ("store", 4096, 3), ("drives", 80, 10)],
 ];
 
-/// Result of one target.
 struct Outcome {
     name: &'static str,
     executions: u64,
@@ -44,20 +42,18 @@ struct Outcome {
 pub(crate) fn run(forced: Option<Way>, runs: u64) -> Result<()> {
     setup::run(forced)?;
     let outcomes = fuzz(runs)?;
-    let mut json = String::from("{\"targets\": [");
     println!("{:<10} {:>12} {:>12}", "target", "executions", "per second");
-    for (place, outcome) in outcomes.iter().enumerate() {
+    let targets = outcomes.iter().map(|outcome| {
         let (name, executions, per_second) = (outcome.name, outcome.executions, outcome.per_second);
         println!("{name:<10} {executions:>12} {per_second:>12}");
-        let comma = if place == 0 { "" } else { ", " };
         let crashes = u8::from(outcome.found.is_some());
-        write!(
-            json,
-            "{comma}{{\"name\": \"{name}\", \"executions\": {executions}, \"executions_per_s\": {per_second}, \
+        format!(
+            "{{\"name\": \"{name}\", \"executions\": {executions}, \"executions_per_s\": {per_second}, \
              \"crashes\": {crashes}}}"
-        )?;
-    }
-    json.push_str("]}\n");
+        )
+    });
+    let targets = targets.collect::<Vec<_>>().join(", ");
+    let json = format!("{{\"targets\": [{targets}]}}\n");
     fs::write(root().join("target/foretorque/fuzz.json"), json)?;
     let sum: u64 = outcomes.iter().map(|outcome| outcome.executions).sum();
     println!("{:<10} {sum:>12}", "all");
@@ -81,7 +77,7 @@ fn unpack() -> Result<()> {
     // Inputs of an older archive.
     let _ = fs::remove_dir_all(home.join("corpus"));
     fs::create_dir_all(&home)?;
-    shell::run(command("tar").args(["-xzf", CORPUS, "-C", HOME]))?;
+    shell::run(&mut command(&format!("tar -xzf {CORPUS} -C {HOME}")))?;
     // A target may have seeds only.
     for (name, ..) in LANES.iter().copied().flatten() {
         fs::create_dir_all(corpus(name))?;
@@ -97,20 +93,14 @@ fn corpus(name: &str) -> PathBuf {
 fn fuzz(runs: u64) -> Result<Vec<Outcome>> {
     setup::bring_program("c++", "g++").context("libFuzzer needs a C++ compiler")?;
     unpack()?;
-    let host = capture(command("rustc").arg("-vV")).context("rustc reports no version")?;
+    let host = capture(&mut command("rustc -vV")).context("rustc reports no version")?;
     let host = host.lines().find_map(|line| line.strip_prefix("host: "));
     let host = host.context("rustc reports no host")?.to_owned();
-    let mut build = command("cargo");
     // With a target named, the flags are for the code that is fuzzed and not for what builds it.
-    build
-        .args(["build", "--release"])
-        .args(["--manifest-path", "tests/fuzz/engine/Cargo.toml"])
-        .args(["--target-dir", "target/fuzz", "--target", &host])
-        .env("RUSTFLAGS", COVERAGE);
-    for (name, ..) in LANES.iter().copied().flatten() {
-        build.args(["--bin", name]);
-    }
-    shell::run(&mut build)?;
+    let mut build = command(&format!(
+        "cargo build --release --bins --manifest-path tests/fuzz/engine/Cargo.toml --target-dir target/fuzz --target {host}"
+    ));
+    shell::run(build.env("RUSTFLAGS", COVERAGE))?;
     let lanes = LANES.each_ref().map(|lane| {
         let programs = format!("target/fuzz/{host}/release");
         thread::spawn(move || {
@@ -135,12 +125,12 @@ fn attack((name, max_len, share): Target, programs: &str, runs: u64) -> Result<O
         fs::create_dir_all(directory)?;
     }
     let log = home.join("log");
-    let output = command(&format!("{programs}/{name}"))
+    let line = format!(
+        "{programs}/{name} -runs={runs} -max_len={max_len} -seed=1 -timeout=10 -print_final_stats=1"
+    );
+    let output = command(&line)
         // New inputs go to the first directory; the others are only read.
         .args([&found, &corpus(name), &seeds])
-        .arg(format!("-runs={runs}"))
-        .arg(format!("-max_len={max_len}"))
-        .args(["-seed=1", "-timeout=10", "-print_final_stats=1"])
         .arg(format!("-artifact_prefix={}/", home.display()))
         .env("FORETORQUE_SEEDS", &seeds)
         .stdout(Stdio::null())

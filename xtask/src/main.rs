@@ -160,9 +160,8 @@ fn run(request: &Request) -> Result<()> {
         "circles" => circles::run(),
         // A package of its own: the parser of Rust must not delay the other commands.
         "mutants" => {
-            let mut mutants = shell::command("cargo");
-            mutants.args(["run", "--quiet", "--release"]);
-            mutants.args(["-p", "foretorque-mutants", "--"]);
+            let line = "cargo run --quiet --release -p foretorque-mutants --";
+            let mut mutants = shell::command(line);
             shell::run(mutants.args(request.runs.map(|runs| runs.to_string())))
         }
         _ => {

@@ -34,7 +34,7 @@ const ENDED: i32 = 124;
 pub(crate) fn gate(tools: Tools) -> Result<()> {
     for (manifest, target) in [(OWN_ARM, TARGET), (OWN_ARM, OTHER_TARGET), (RTIC, TARGET)] {
         if target != TARGET && !installed(tools.board, target)? {
-            let add = ["rustup", "target", "add", target];
+            let add = format!("rustup target add {target}");
             if let Err(reason) = run_bounded(&add, setup::RUSTUP_LIMIT_S) {
                 println!("{reason}");
             }
@@ -43,37 +43,32 @@ pub(crate) fn gate(tools: Tools) -> Result<()> {
                 continue;
             }
         }
-        let mut build = tools.board.tool("cargo");
-        build.args(["build", "--release", "--locked", "--target", target]);
-        build.args(["--target-dir", "target/outside"]);
-        build.args(["--manifest-path", manifest]);
-        shell::run(&mut build)?;
+        shell::run(&mut tools.board.tool(&format!(
+            "cargo build --release --locked --target {target} --target-dir target/outside --manifest-path {manifest}"
+        )))?;
     }
     let elf = Path::new("target/outside").join(TARGET);
     starts(&elf.join("release/rtic_joint"))?;
-    let mut tree = tools.board.tool("cargo");
-    tree.args(["tree", "--locked", "--target", TARGET, "-e", "normal"]);
-    tree.args(["--prefix", "none", "--manifest-path", OWN_ARM]);
-    let tree = capture(&mut tree).context("`cargo tree` failed")?;
+    let tree = capture(&mut tools.board.tool(&format!(
+        "cargo tree --locked --target {TARGET} -e normal --prefix none --manifest-path {OWN_ARM}"
+    )));
+    let tree = tree.context("`cargo tree` failed")?;
     let count = judge(&tree)?;
     println!("a crate outside links with {count} crates");
 
-    let mut package = tools.host.tool("cargo");
-    package.args(["package", "--quiet", "--allow-dirty", "--no-verify"]);
-    for name in PUBLISHABLE {
-        package.args(["-p", name]);
-    }
-    shell::run(&mut package)
+    let packages = PUBLISHABLE.map(|name| format!(" -p {name}")).concat();
+    let line = format!("cargo package --quiet --allow-dirty --no-verify{packages}");
+    shell::run(&mut tools.host.tool(&line))
 }
 
 /// Runs the RTIC application in the emulator.
 fn starts(elf: &Path) -> Result<()> {
-    let mut emulator = command("timeout");
-    emulator.args([RUN_S, "qemu-system-arm", "-machine", "netduinoplus2"]);
-    emulator.args(["-display", "none", "-monitor", "none", "-serial", "none"]);
     // The dispatcher of the learning task is interrupt 7, exception 23.
-    emulator.args(["-d", "int", "-kernel"]).arg(elf);
-    let output = emulator.output().context("cannot start `timeout`")?;
+    let mut emulator = command(&format!(
+        "timeout {RUN_S} qemu-system-arm -machine netduinoplus2 -display none -monitor none -serial none -d int -kernel"
+    ));
+    let output = emulator.arg(elf).output();
+    let output = output.context("cannot start `timeout`")?;
     let log = String::from_utf8_lossy(&output.stderr);
     let samples = log.matches("previous exception 23\n").count();
     ensure!(
@@ -91,8 +86,8 @@ fn starts(elf: &Path) -> Result<()> {
 
 /// The core of `target` is there.
 fn installed(toolchain: Toolchain, target: &str) -> Result<bool> {
-    let mut rustc = toolchain.tool("rustc");
-    let sysroot = capture(rustc.args(["--print", "sysroot"])).context("`rustc` failed")?;
+    let sysroot = capture(&mut toolchain.tool("rustc --print sysroot"));
+    let sysroot = sysroot.context("`rustc` failed")?;
     let libraries = Path::new(sysroot.trim()).join("lib/rustlib").join(target);
     Ok(libraries.join("lib").is_dir())
 }
@@ -126,9 +121,8 @@ pub(crate) fn bring_compiler() -> Result<()> {
 pub(crate) fn capi(forced: Option<Way>) -> Result<()> {
     let tools = setup::run(forced)?;
     bring_compiler()?;
-    let mut header = tools.host.tool("cargo");
-    header.args(["test", "--quiet", "-p", "foretorque-capi", "--test"]);
-    header.args(["interface", "the_header"]);
+    let line = "cargo test --quiet -p foretorque-capi --test interface the_header";
+    let mut header = tools.host.tool(line);
     shell::run(header.env("UPDATE_HEADER", "1"))?;
     build_capi(tools)?;
     println!(
@@ -141,31 +135,19 @@ pub(crate) fn capi(forced: Option<Way>) -> Result<()> {
 
 /// Builds the static library, whose link proves that nothing in it panics, and the example.
 pub(crate) fn build_capi(tools: Tools) -> Result<()> {
-    let mut library = tools.board.tool("cargo");
-    library.args(["rustc", "--profile", PROFILE, "--target", TARGET]);
-    library.args(["-p", "foretorque-capi", "--lib"]);
-    library.args(["--crate-type", "staticlib"]);
-    shell::run(&mut library)?;
-
-    let place = shell::root().join(PLACE);
-    let example = place.join("example");
-    let mut compiler = command(COMPILER);
-    compiler
-        .args(["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard"])
-        .args(["-mfpu=fpv4-sp-d16", "-std=c11", "-O2", "-Wall", "-Wextra"])
-        // The example compares bits with another machine: no fused operations.
-        .args(["-Werror", "-ffp-contract=off"])
-        .args(["-ffreestanding", "-nostdlib"])
-        .arg("-I")
-        .arg(place.join("include"))
-        .arg(example.join("main.c"))
-        .arg(example.join("startup.c"))
-        .arg(shell::elf("libforetorque_capi.a"))
-        .arg("-T")
-        .arg(example.join("link.ld"))
-        .args(["-Wl,--gc-sections", "-Wl,-z,noexecstack", "-o"])
-        .arg(shell::elf("capi-example"));
-    shell::run(&mut compiler).context("the example in C does not build")
+    shell::run(&mut tools.board.tool(&format!(
+        "cargo rustc --profile {PROFILE} --target {TARGET} -p foretorque-capi --lib --crate-type staticlib"
+    )))?;
+    let example = format!("{PLACE}/example");
+    // The example compares bits with another machine: no fused operations.
+    let mut compiler = command(&format!(
+        "{COMPILER} -mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -std=c11 -O2 -Wall -Wextra -Werror \
+         -ffp-contract=off -ffreestanding -nostdlib -I {PLACE}/include {example}/main.c {example}/startup.c"
+    ));
+    compiler.arg(shell::elf("libforetorque_capi.a"));
+    compiler.args(["-T", &format!("{example}/link.ld")]);
+    compiler.args(["-Wl,--gc-sections", "-Wl,-z,noexecstack", "-o"]);
+    shell::run(compiler.arg(shell::elf("capi-example"))).context("the example in C does not build")
 }
 
 #[cfg(test)]

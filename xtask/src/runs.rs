@@ -13,11 +13,12 @@ use crate::shell::{self, PROFILE, TARGET, Toolchain, capture, command};
 /// Sets up, builds both sides, and runs the demo experiment on the board's ELF files.
 pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
     let start = Instant::now();
-    let mut firmware = setup::run(forced)?.board.board_cargo("build");
-    shell::run(firmware.args(["--bin", "joint", "--bin", "bulk"]))?;
-    let mut host_sim = command(&host_sim()?.to_string_lossy());
+    let board = setup::run(forced)?.board;
+    shell::run(&mut board.board_cargo("build --bin joint --bin bulk"))?;
+    let host_sim = host_sim()?;
     println!("demo: built after {:.1} s", start.elapsed().as_secs_f64());
-    shell::run(host_sim.args(["experiment", "demo", "--out", "target/foretorque/demo"]))?;
+    let demo = format!("{host_sim} experiment demo --out target/foretorque/demo");
+    shell::run(&mut command(&demo))?;
     let elf = shell::elf("joint");
     let copied = fs::copy(&elf, shell::root().join(ELF_COPY))
         .with_context(|| format!("cannot copy {}", elf.display()))?;
@@ -31,21 +32,21 @@ pub(crate) fn demo(forced: Option<Way>) -> Result<()> {
 
 /// Sets up, builds the board's ELF files, breaks them, and compares the counts with the snapshot; `accept` writes them there.
 pub(crate) fn faults(forced: Option<Way>, accept: bool) -> Result<()> {
-    shell::run(setup::run(forced)?.board.board_cargo("build").arg("--bins"))?;
-    let mut faults = command(&host_sim()?.to_string_lossy());
-    faults.args(["faults", "--out", "target/foretorque/faults.json"]);
-    faults.args(["--snapshot", "tests/snapshots/faults.txt"]);
+    shell::run(&mut setup::run(forced)?.board.board_cargo("build --bins"))?;
+    let mut faults = command(&format!(
+        "{} faults --out target/foretorque/faults.json --snapshot tests/snapshots/faults.txt",
+        host_sim()?
+    ));
     shell::run(faults.args(accept.then_some("--accept")))
 }
 
 /// Sets up, builds, measures and compares with docs/budget.md; `accept` writes that page anew.
 pub(crate) fn bench(forced: Option<Way>, accept: bool) -> Result<()> {
     let board = setup::run(forced)?.board;
-    let arms = larger(board, &host_sim()?, &["bench", "joint"])?;
-    let mut build = board.board_cargo("build");
-    let images = ["bench", "joint", "joint-drive", "joint-can"];
-    shell::run(build.args(images.iter().flat_map(|image| ["--bin", image])))?;
-    let version = capture(board.tool("rustc").arg("--version"));
+    let arms = larger(board, host_sim()?, &["bench", "joint"])?;
+    let images = "--bin bench --bin joint --bin joint-drive --bin joint-can";
+    shell::run(&mut board.board_cargo(&format!("build {images}")))?;
+    let version = capture(&mut board.tool("rustc --version"));
     let version = version.context("rustc reports no version")?;
     let (elf_dir, root) = (shell::elf_dir(), shell::root());
     foretorque_cost::bench(&elf_dir, &arms, &root, version.trim(), accept)
@@ -68,13 +69,8 @@ pub(crate) fn arm(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
     let board = setup::run(forced)?.board;
     // Relative paths are the caller's, and host-sim runs in the workspace's root.
     let urdf = fs::canonicalize(urdf).with_context(|| format!("cannot read {urdf}"))?;
-    let program = host_sim()?;
-    let out = build(
-        board,
-        &program,
-        (&urdf, name, selection),
-        &["joint", "bulk"],
-    )?;
+    let arm = (urdf.as_path(), name, selection);
+    let out = build(board, host_sim()?, arm, &["joint", "bulk"])?;
     let joint = out.join("joint");
     println!("ELF:  {}", shell::shown(&joint));
     flash::write_images(&shell::read(&joint)?, &joint)?;
@@ -85,16 +81,16 @@ pub(crate) fn arm(forced: Option<Way>, urdf: &str, name: &str, selection: &[Stri
     Ok(())
 }
 
-/// The optimised command line, built if it is not.
-fn host_sim() -> Result<PathBuf> {
-    shell::run(command("cargo").args(["build", "--release", "-p", "host-sim"]))?;
-    Ok(shell::root().join("target/release/host-sim"))
+/// The optimised command line, built if it is not, from the workspace's root.
+fn host_sim() -> Result<&'static str> {
+    shell::run(&mut command("cargo build --release -p host-sim"))?;
+    Ok("target/release/host-sim")
 }
 
 /// Builds `images` for the arms of seven and eight joints; returns these numbers and the directories.
 pub(crate) fn larger(
     board: Toolchain,
-    host_sim: &Path,
+    host_sim: &str,
     images: &[&str],
 ) -> Result<Vec<(usize, PathBuf)>> {
     let arms = LARGER.iter().map(|(joints, file, name)| {
@@ -108,32 +104,25 @@ pub(crate) fn larger(
 /// directory.
 fn build(
     board: Toolchain,
-    host_sim: &Path,
+    host_sim: &str,
     (file, name, selection): (&Path, &str, &[String]),
     images: &[&str],
 ) -> Result<PathBuf> {
     let out = shell::root().join(OUT).join(name);
     let [toml, module] = ["toml", "rs"].map(|kind| out.join(name).with_extension(kind));
-    let host_sim = || command(&host_sim.to_string_lossy());
-    let mut describe = host_sim();
-    describe
-        .arg("describe")
-        .arg(file)
-        .args(selection)
-        .args(["--name", name]);
+    let mut describe = command(&format!("{host_sim} describe"));
+    describe.arg(file).args(selection).args(["--name", name]);
     let Some(text) = capture(&mut describe) else {
         // Once more, for its refusal to be seen.
         shell::run(&mut describe)?;
         anyhow::bail!("`host-sim describe` failed once");
     };
     shell::write(&toml, text)?;
-    let mut generate = host_sim();
-    generate.args(["generate", "--robot"]).arg(&toml);
-    shell::run(generate.arg("--out").arg(&module))?;
+    let mut generate = command(&format!("{host_sim} generate --robot"));
+    shell::run(generate.arg(&toml).arg("--out").arg(&module))?;
     let target = shell::root().join(BUILD);
-    let mut build = board.board_cargo("build");
+    let mut build = board.board_cargo(&format!("build --bin {}", images.join(" --bin ")));
     build
-        .args(images.iter().flat_map(|image| ["--bin", image]))
         .env("FORETORQUE_ARM", &module)
         // What does not depend on the arm is not compiled again.
         .env("CARGO_BUILD_BUILD_DIR", shell::root().join("target"))

@@ -43,7 +43,6 @@ impl std::str::FromStr for Way {
     }
 }
 
-/// Something that is missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Need {
     Target,
@@ -118,7 +117,7 @@ impl Machine {
     fn print(&self, needs: &[Need]) {
         let found = |here| if here { "found" } else { "missing" };
         let version = |toolchain: Toolchain| {
-            let line = capture(toolchain.tool("rustc").arg("--version"));
+            let line = capture(&mut toolchain.tool("rustc --version"));
             line.map_or("no rustc".into(), |line| line.trim().to_owned())
         };
         println!(
@@ -141,15 +140,16 @@ impl Machine {
 }
 
 fn lints(toolchain: Toolchain) -> bool {
-    let mut verbs = ["clippy", "fmt"].iter();
-    verbs.all(|verb| capture(toolchain.tool("cargo").args([verb, "--version"])).is_some())
+    ["cargo clippy --version", "cargo fmt --version"]
+        .into_iter()
+        .all(|line| capture(&mut toolchain.tool(line)).is_some())
 }
 
 fn emulator() -> Option<String> {
-    let machines = capture(command("qemu-system-arm").args(["-machine", "help"]))?;
+    let machines = capture(&mut command("qemu-system-arm -machine help"))?;
     let mut names = machines.lines();
     names.find(|line| line.starts_with("netduinoplus2 "))?;
-    let version = capture(command("qemu-system-arm").arg("--version"))?;
+    let version = capture(&mut command("qemu-system-arm --version"))?;
     version.lines().next().map(str::to_owned)
 }
 
@@ -159,13 +159,11 @@ fn emulator() -> Option<String> {
 /// optimisation, or find no linker. The trial takes a fifth of a second.
 fn builds_for_board(toolchain: Toolchain) -> bool {
     let place = env::temp_dir().join(format!("foretorque-smoke-{}", process::id()));
-    let mut rustc = toolchain.tool("rustc");
-    rustc
-        .args(["--edition=2024", "--target", TARGET, "-Cpanic=abort"])
-        .args(["-Copt-level=1", "-Clto=fat", "-Ccodegen-units=1"])
-        .arg("--out-dir")
-        .args([&place, &shell::root().join("xtask/smoke.rs")]);
-    let built = capture(&mut rustc).is_some();
+    let mut rustc = toolchain.tool(&format!(
+        "rustc --edition=2024 --target {TARGET} -Cpanic=abort -Copt-level=1 -Clto=fat -Ccodegen-units=1 \
+         xtask/smoke.rs --out-dir"
+    ));
+    let built = capture(rustc.arg(&place)).is_some();
     let _ = fs::remove_dir_all(&place);
     built
 }
@@ -227,13 +225,13 @@ fn ask_rustup(needs: &[Need], forced: Option<Way>) -> Result<()> {
         Some(_) => return Ok(()),
     };
     for need in needs {
-        let words: &[&str] = match need {
-            Need::Target => &["rustup", "target", "add", TARGET],
-            Need::Lints => &["rustup", "component", "add", "clippy", "rustfmt"],
+        let line = match need {
+            Need::Target => format!("rustup target add {TARGET}"),
+            Need::Lints => "rustup component add clippy rustfmt".to_owned(),
             Need::Emulator => continue,
         };
-        let task = format!("{} (at most {limit} s)", words.join(" "));
-        timed(&task, || run_bounded(words, limit))?;
+        let task = format!("{line} (at most {limit} s)");
+        timed(&task, || run_bounded(&line, limit))?;
     }
     Ok(())
 }
@@ -277,7 +275,7 @@ pub(crate) fn bring_program(program: &str, package: &str) -> Result<()> {
 }
 
 fn has(program: &str) -> bool {
-    capture(command(program).arg("--version")).is_some()
+    capture(&mut command(&format!("{program} --version"))).is_some()
 }
 
 /// Runs one task of `debian.sh`.

@@ -9,15 +9,16 @@ use std::{env, fmt};
 
 use anyhow::{Context as _, Result, bail};
 
-/// The workspace's root directory.
 pub(crate) fn root() -> PathBuf {
     let manifest_dir = Path::new(env!("CARGO_MANIFEST_DIR"));
     manifest_dir.parent().unwrap_or(manifest_dir).to_path_buf()
 }
 
-/// A command that runs in the workspace's root.
-pub(crate) fn command(program: &str) -> Command {
-    let mut command = Command::new(program);
+/// A command as one types it, with single words between blanks; it runs in the workspace's root.
+pub(crate) fn command(line: &str) -> Command {
+    let mut words = line.split_whitespace();
+    let mut command = Command::new(words.next().unwrap_or_default());
+    command.args(words);
     // `cargo run` exports the cargo it is; a toolchain of another name must find its own. What is built is looked for in the
     // workspace.
     let foreign = ["CARGO", "CARGO_TARGET_DIR", "CARGO_BUILD_TARGET_DIR"];
@@ -53,10 +54,9 @@ pub(crate) fn capture(command: &mut Command) -> Option<String> {
     output.status.success().then(text)
 }
 
-/// Runs `words` in silence for at most `limit` seconds; the error carries the program's own first `error` line.
-pub(crate) fn run_bounded(words: &[&str], limit: u32) -> Result<()> {
-    let mut bounded = command("timeout");
-    bounded.arg(limit.to_string()).args(words);
+/// Runs a command in silence for at most `limit` seconds; the error carries the program's own first `error` line.
+pub(crate) fn run_bounded(of: &str, limit: u32) -> Result<()> {
+    let mut bounded = command(&format!("timeout {limit} {of}"));
     let output = bounded.env_remove("RUST_BACKTRACE").output();
     let output = output.with_context(|| format!("cannot start `{}`", line(&bounded)))?;
     let text = String::from_utf8_lossy(&output.stderr);
@@ -73,7 +73,6 @@ pub(crate) fn run_bounded(words: &[&str], limit: u32) -> Result<()> {
     bail!("`{}`: {reason}", line(&bounded))
 }
 
-/// The bytes of a file.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
@@ -143,24 +142,19 @@ impl fmt::Display for Toolchain {
 }
 
 impl Toolchain {
-    /// One of its programs, run in the workspace's root.
-    pub(crate) fn tool(self, program: &str) -> Command {
+    /// A command of one of its programs.
+    pub(crate) fn tool(self, line: &str) -> Command {
         match self {
-            Toolchain::Host => command(program),
-            Toolchain::Linked => {
-                let mut command = command("rustup");
-                command.args(["run", &linked_name(), program]);
-                command
-            }
+            Toolchain::Host => command(line),
+            Toolchain::Linked => command(&format!("rustup run {} {line}", linked_name())),
         }
     }
 
     /// `cargo SUBCOMMAND` for the board and every image, in target and profile of the board.
     pub(crate) fn board_cargo(self, subcommand: &str) -> Command {
-        let mut command = self.tool("cargo");
-        command.args([subcommand, "--profile", PROFILE, "--target", TARGET]);
-        command.args(["-p", "foretorque-f405", "-p", "foretorque-images"]);
-        command
+        self.tool(&format!(
+            "cargo {subcommand} --profile {PROFILE} --target {TARGET} -p foretorque-f405 -p foretorque-images"
+        ))
     }
 }
 
@@ -181,16 +175,15 @@ mod tests {
     #[test]
     fn a_child_that_hangs_is_ended_at_its_limit() {
         let start = Instant::now();
-        let error = run_bounded(&["sleep", "600"], 1).unwrap_err();
+        let error = run_bounded("sleep 600", 1).unwrap_err();
         assert!(start.elapsed() < Duration::from_secs(60));
         assert!(error.to_string().contains("was ended"), "{error}");
     }
 
     #[test]
     fn a_failing_child_is_quoted_with_its_reason() {
-        let script = "echo noise >&2; echo 'error: no route to host' >&2; exit 1";
-        let error = run_bounded(&["sh", "-c", script], 60).unwrap_err();
-        let reason = "error: no route to host";
-        assert!(error.to_string().ends_with(reason), "{error}");
+        let error = run_bounded("cargo no-such-thing", 60).unwrap_err();
+        let reason = "`timeout 60 cargo no-such-thing`: error: no such command";
+        assert!(error.to_string().starts_with(reason), "{error}");
     }
 }

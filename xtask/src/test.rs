@@ -23,20 +23,11 @@ struct Outcome {
     seconds: f64,
 }
 
-/// Tests that passed and failed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Counts {
-    passed: u32,
-    failed: u32,
-}
+/// Tests that passed, and that failed.
+type Counts = (u32, u32);
 
-impl Counts {
-    fn plus(self, other: Self) -> Self {
-        Self {
-            passed: self.passed + other.passed,
-            failed: self.failed + other.failed,
-        }
-    }
+fn sum((passed, failed): Counts, more: Counts) -> Counts {
+    (passed + more.0, failed + more.1)
 }
 
 /// Sets up, passes every gate, and ends with a table of the gates and the counts of the tests.
@@ -57,7 +48,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     let mut counts = Counts::default();
     outcomes.push(pass("tests", || {
         let (seen, ended_well) =
-            count_tests(command("cargo").args(["test", "--workspace", "--no-fail-fast"]))?;
+            count_tests(&mut command("cargo test --workspace --no-fail-fast"))?;
         counts = attribute(seen, ended_well);
         if !ended_well {
             bail!("`cargo test` failed");
@@ -72,7 +63,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     }
     let seconds = start.elapsed().as_secs_f64();
     println!("{:<16} {:<7} {seconds:>8.1}\n", "all", "");
-    let Counts { passed, failed } = counts;
+    let (passed, failed) = counts;
     println!("{passed} passed, {failed} failed");
     let failed = outcomes.iter().filter(|outcome| !outcome.passed);
     let failed: Vec<_> = failed.map(|outcome| outcome.name).collect();
@@ -82,7 +73,6 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     Ok(())
 }
 
-/// A gate with its name.
 type Gate = (&'static str, Box<dyn FnOnce() -> Result<()> + Send>);
 
 fn gate(name: &'static str, work: impl FnOnce() -> Result<()> + Send + 'static) -> Gate {
@@ -107,47 +97,34 @@ fn side_by_side(lanes: [Vec<Gate>; 2]) -> Vec<Outcome> {
     })
 }
 
-/// Options of a lint, to refuse what it finds.
-const STRICT: [&str; 3] = ["--", "-D", "warnings"];
-
 /// Checks of the source, and builds in the host's directory, the cheapest first.
 fn host_builds(tools: Tools) -> Vec<Gate> {
-    let mut fmt = tools.host.tool("cargo");
-    fmt.args(["fmt", "--all", "--check"]);
-    let mut clippy = tools.host.tool("cargo");
-    clippy
-        .args(["clippy", "--workspace", "--all-targets"])
-        .args(STRICT);
-    let mut tests = command("cargo");
-    tests.args(["test", "--workspace", "--no-run"]);
+    let clippy = "cargo clippy --workspace --all-targets -- -D warnings";
     vec![
-        runs("format", fmt),
+        runs("format", tools.host.tool("cargo fmt --all --check")),
         gate("words", words::run),
         gate("circles", circles::run),
-        runs("clippy, host", clippy),
-        runs("tests, built", tests),
+        runs("clippy, host", tools.host.tool(clippy)),
+        runs("tests, built", command("cargo test --workspace --no-run")),
     ]
 }
 
 /// Builds in the board's directory. The libraries without a log are linted for the host, and built for the board with the
 /// library for C.
 fn board_builds(tools: Tools) -> Vec<Gate> {
-    let mut clippy = tools.board.board_cargo("clippy");
-    clippy.args(["--lib", "--bins"]).args(STRICT);
+    let mut clippy = tools.board.board_cargo("clippy --lib --bins");
+    clippy.args(["--", "-D", "warnings"]);
     vec![runs("clippy, board", clippy)]
 }
 
 /// The board's images, with a `host-sim` that was built with the tests.
 fn images(tools: Tools) -> Vec<Gate> {
-    let mut firmware = tools.board.board_cargo("build");
-    firmware.arg("--bins");
     vec![
         gate("7 and 8 joints", move || {
-            let host_sim = shell::root().join("target/debug/host-sim");
-            runs::larger(tools.board, &host_sim, &[cost::JOINT]).map(|_| ())
+            runs::larger(tools.board, "target/debug/host-sim", &[cost::JOINT]).map(|_| ())
         }),
         // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
-        runs("firmware", firmware),
+        runs("firmware", tools.board.board_cargo("build --bins")),
         gate("linked firmware", || {
             cost::check_firmware(&shell::elf_dir(), &[cost::JOINT, cost::DRIVE, cost::CAN])?;
             cost::check_bench(&shell::elf_dir(), &shell::root())
@@ -163,10 +140,9 @@ fn images(tools: Tools) -> Vec<Gate> {
 fn public(tools: Tools) -> Vec<Gate> {
     // With the examples the features of the dependencies are those of clippy, so nothing is built twice. On the
     // host the board's images are mains that say what they are: nothing to document.
-    let mut docs = command("cargo");
-    docs.args(["doc", "--workspace", "--no-deps"])
-        .args(["--lib", "--bin", "host-sim", "--bin", "xtask", "--examples"])
-        .env("RUSTDOCFLAGS", "-D warnings");
+    let mut docs =
+        command("cargo doc --workspace --no-deps --lib --bin host-sim --bin xtask --examples");
+    docs.env("RUSTDOCFLAGS", "-D warnings");
     vec![
         runs("docs", docs),
         gate("crate outside", move || outside::gate(tools)),
@@ -202,7 +178,7 @@ fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
         let bytes = bytes?;
         let text = String::from_utf8_lossy(&bytes);
         println!("{text}");
-        seen = seen.plus(parse_result(&text).unwrap_or_default());
+        seen = sum(seen, parse_result(&text).unwrap_or_default());
     }
     Ok((seen, child.wait()?.success()))
 }
@@ -217,16 +193,12 @@ fn parse_result(line: &str) -> Option<Counts> {
         rest.split("; ")
             .find_map(|part| part.trim().strip_suffix(word)?.trim().parse().ok())
     };
-    Some(Counts {
-        passed: number("passed")?,
-        failed: number("failed")?,
-    })
+    Some((number("passed")?, number("failed")?))
 }
 
 /// A test program that crashed or did not compile prints no result line: it counts as one failure all the same.
-fn attribute(seen: Counts, ended_well: bool) -> Counts {
-    let failed = seen.failed.max(u32::from(!ended_well));
-    Counts { failed, ..seen }
+fn attribute((passed, failed): Counts, ended_well: bool) -> Counts {
+    (passed, failed.max(u32::from(!ended_well)))
 }
 
 #[cfg(test)]
@@ -244,16 +216,13 @@ test result: FAILED. 12 passed; 2 failed; 0 ignored; 0 measured; 0 filtered out;
 all doctests ran in 0.31s; merged doctests compilation took 0.20s
 test result: nonsense";
         let results = output.lines().filter_map(parse_result);
-        let sum = results.fold(Counts::default(), Counts::plus);
-        let (passed, failed) = (15, 2);
-        assert_eq!(sum, Counts { passed, failed });
+        assert_eq!(results.fold(Counts::default(), sum), (15, 2));
     }
 
     #[test]
     fn a_test_program_that_dies_without_a_result_line_is_a_failure() {
         for (failed, ended_well, expected) in [(0, false, 1), (0, true, 0), (2, false, 2)] {
-            let seen = Counts { passed: 7, failed };
-            assert_eq!(attribute(seen, ended_well).failed, expected);
+            assert_eq!(attribute((7, failed), ended_well), (7, expected));
         }
     }
 }
