@@ -1,5 +1,6 @@
 //! The board's f32 dynamics: physical identities for every arm, with seeded random geometry too, and the host's f64 reference.
 
+use crate::oracle::{LIMIT_SHARE, UR5_TOLERANCE};
 use crate::{description, each_arm};
 use foretorque::arm::{Arm, ur5::Ur5};
 use foretorque::dynamics::{BaseParameters, gravity_torque, regressor, regressor_row, rnea};
@@ -12,9 +13,6 @@ use rand_chacha::ChaCha8Rng;
 
 /// Random states of each arm.
 const STATES: usize = 100;
-
-/// Error of one f32 torque, in torque limits of the joint; `oracle.rs` holds the board to it.
-const LIMIT_SHARE: f64 = 1e-6;
 
 /// Step of the central differences of the energy, rad and s: truncation about h² = 1e-10, rounding 1e-14 / h = 1e-9,
 /// both far below f32.
@@ -136,9 +134,6 @@ fn arm_without_mass_needs_no_torque() {
     each_arm!(nothing_weighs_nothing);
 }
 
-/// Largest torque error allowed, N·m: three decimal places below the friction of the joint.
-const TORQUE_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
-
 fn random_motion(random: &mut ChaCha8Rng) -> JointMotion<6> {
     let mut draw = |size: f32| JointVector::<6>::from_fn(|_, _| random.random_range(-size..=size));
     JointMotion {
@@ -166,7 +161,7 @@ fn rnea_agrees_with_the_reference_over_random_states() {
             let tau = rnea::<Ur5, 6, 40>(&beta, &motion).map(f64::from);
             for j in 0..6 {
                 let error = (tau[j] - truth[j]).abs();
-                assert!(error <= TORQUE_TOLERANCE[j], "joint {}: {error}", j + 1);
+                assert!(error <= UR5_TOLERANCE[j], "joint {}: {error}", j + 1);
             }
         }
     }
@@ -182,7 +177,7 @@ fn the_regressor_times_base_parameters_is_the_torque_and_its_rows_are_the_single
         let errors = (rows * beta - rnea::<Ur5, 6, 40>(&beta, &motion)).map(f64::from);
         for j in 0..6 {
             let error = errors[j].abs();
-            assert!(error <= TORQUE_TOLERANCE[j], "joint {}: {error}", j + 1);
+            assert!(error <= UR5_TOLERANCE[j], "joint {}: {error}", j + 1);
             // The same operations in the same order: the same bits.
             let row = regressor_row::<Ur5, 6, 40>(j, &motion);
             assert_eq!(rows.row(j).transpose(), row);

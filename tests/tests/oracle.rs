@@ -16,7 +16,7 @@ const REFERENCE_TOLERANCE: f64 = 1e-10;
 const TABULATED_TOLERANCE: f64 = 1e-10;
 
 /// f32 torques of any arm, in torque limits of the joint: a quarter of what a 17-bit torque command resolves.
-const LIMIT_SHARE: f64 = 1e-6;
+pub(crate) const LIMIT_SHARE: f64 = 1e-6;
 
 /// f32 regressor entries, relative to the largest entry of the row: some ten roundings of 6e-8.
 const ROW_TOLERANCE: f64 = 2e-6;
@@ -199,7 +199,7 @@ fn board_regressor_rows_are_the_base_columns_of_pinocchio() {
 }
 
 /// f32 torques of the UR5, N·m: three decimal places below the friction of the joint.
-const UR5_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
+pub(crate) const UR5_TOLERANCE: [f64; 6] = [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5];
 
 /// A row of the regressor sums the same torque from up to 40 products, in torque limits of the joint.
 const ROW_LIMIT_SHARE: f64 = 2e-6;
