@@ -34,21 +34,12 @@ pub struct Crash {
 }
 
 impl Crash {
-    /// A panic.
-    pub const PANIC: Self = Self::new("panic", b'p', ResetReason::Panic);
-    /// An undefined instruction, which is a hard fault.
-    pub const UNDEFINED_INSTRUCTION: Self = Self::new("hard fault", b'u', ResetReason::Fault);
-    /// A stack that grows beyond its region.
-    pub const STACK_OVERFLOW: Self = Self::new("stack overflow", b's', ResetReason::Fault);
-    /// An interrupt that nobody handles.
-    pub const STRAY_INTERRUPT: Self = Self::new("stray interrupt", b'i', ResetReason::Fault);
-
-    /// All of them.
+    /// All of them. An undefined instruction is a hard fault.
     pub const ALL: [Self; 4] = [
-        Self::PANIC,
-        Self::UNDEFINED_INSTRUCTION,
-        Self::STACK_OVERFLOW,
-        Self::STRAY_INTERRUPT,
+        Self::new("panic", b'p', ResetReason::Panic),
+        Self::new("hard fault", b'u', ResetReason::Fault),
+        Self::new("stack overflow", b's', ResetReason::Fault),
+        Self::new("stray interrupt", b'i', ResetReason::Fault),
     ];
 
     const fn new(name: &'static str, letter: u8, reason: ResetReason) -> Self {
