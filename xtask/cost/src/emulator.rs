@@ -60,15 +60,12 @@ pub(crate) fn trace(
 }
 
 fn machine(elf: &Path, calls: u32, ticks: u32) -> Command {
+    let line = format!(
+        "{LIMIT} qemu-system-arm -machine netduinoplus2 -nographic -monitor none -serial none \
+         -semihosting-config enable=on,target=native,arg={calls},arg={ticks} -kernel"
+    );
     let mut command = Command::new("timeout");
-    command
-        .args([LIMIT, "qemu-system-arm"])
-        .args(["-machine", "netduinoplus2", "-nographic"])
-        .args(["-monitor", "none", "-serial", "none", "-semihosting-config"])
-        .arg(format!("enable=on,target=native,arg={calls},arg={ticks}"))
-        .arg("-kernel")
-        .arg(elf)
-        .stdin(Stdio::null());
+    command.args(line.split(' ')).arg(elf).stdin(Stdio::null());
     command
 }
 
