@@ -144,23 +144,21 @@ fn outcome(config: ExcitationConfig, seeds: Vec<SeedRecord>) -> Outcome<Excitati
         config,
         seeds,
     };
-    let line = |percent: f64, condition: f64, violations: u64| {
-        format!("{percent:.4} %  condition number {condition:.2}  {violations} violations")
+    let line = |name: &str, percent: f64, condition: f64, violations: u64| {
+        format!(
+            "{name:<8} {percent:.4} %  condition number {condition:.2}  {violations} violations"
+        )
     };
-    let lines = report.seeds.iter().map(|own| {
+    let mut text = String::new();
+    for own in &report.seeds {
         let (percent, condition) = (own.predicted_nrmse_percent, own.condition_number_dh);
-        let line = line(percent, condition, own.recount.violations);
-        format!("seed {:<3} {line}\n", own.seed)
-    });
-    let (percent, condition) = (
-        report.worst_predicted_nrmse_percent,
-        report.worst_condition_number_dh,
-    );
-    let (worst, points) = (
-        line(percent, condition, report.violations),
-        report.config.points,
-    );
-    let text = lines.collect::<String>() + &format!("worst    {worst} on {points} points each\n");
+        let name = format!("seed {}", own.seed);
+        text += &(line(&name, percent, condition, own.recount.violations) + "\n");
+    }
+    let percent = report.worst_predicted_nrmse_percent;
+    let condition = report.worst_condition_number_dh;
+    text += &line("worst", percent, condition, report.violations);
+    text += &format!(" on {} points each\n", report.config.points);
     Outcome {
         page: page(&report),
         report,
