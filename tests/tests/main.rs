@@ -45,7 +45,6 @@ impl Table {
         })
     }
 
-    /// Number of rows.
     fn len(&self) -> usize {
         self.rows.len()
     }

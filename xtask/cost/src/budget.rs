@@ -23,7 +23,6 @@ const TABLE: &str = "\
 |---|---:|---:|---:|---:|---|---|
 ";
 
-/// One line of the table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Line {
     /// `row, unit`.
@@ -46,7 +45,6 @@ pub(crate) struct Raise {
     new: u64,
 }
 
-/// One measured quantity.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Measured {
     pub(crate) quantity: String,

@@ -16,7 +16,6 @@ use crate::trace::Call;
 const COUNTED: u32 = 96;
 const TRACED: u32 = 13;
 
-/// One measured row.
 pub(crate) struct Row {
     pub(crate) name: String,
     /// Mean over the counted calls.

@@ -9,7 +9,6 @@ use anyhow::{Result, bail};
 use crate::image::Image;
 use crate::thumb::{Class, Flow, Instruction, LR, PC, Registers, SP};
 
-/// One traced call.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Call {
     pub(crate) instructions: u32,

@@ -188,7 +188,6 @@ fn sources(path: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     Ok(())
 }
 
-/// Counts and live mutants.
 struct Report {
     /// Reasons of the report before, by mutant.
     reasons: BTreeMap<String, String>,

@@ -68,7 +68,6 @@ pub(crate) struct Mutant {
     pub(crate) place: Place,
 }
 
-/// The copy.
 pub(crate) struct Tree {
     root: PathBuf,
     copy: PathBuf,

@@ -88,7 +88,6 @@ impl DemoReport {
         self.ticks as f64 * self.period_s
     }
 
-    /// The main figures as lines of text.
     fn summary(&self) -> String {
         let (tracking, tick) = (&self.tracking_rms_mrad, &self.tick_instructions);
         let (before, after) = (self.torque_nrmse_before, self.torque_nrmse_after);
@@ -212,7 +211,6 @@ pub struct UsartFigures {
     pub link: LinkFigures,
 }
 
-/// Curves of the page.
 #[derive(Clone, Debug, Default)]
 struct DemoCurves {
     /// Samples of the unseen path that the figures count; the curves show some of them.

@@ -7,7 +7,6 @@ use rand_chacha::ChaCha8Rng;
 /// This frame is hit, so that there is damage in a campaign however short.
 const EARLY: u32 = 20;
 
-/// One way of spoiling a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Damage {
     /// One to eight bits of the frame are turned.
@@ -51,7 +50,6 @@ impl Damage {
     }
 }
 
-/// A line that spoils what it carries.
 pub(super) struct BadLine {
     damage: Damage,
     random: ChaCha8Rng,

@@ -156,7 +156,6 @@ fn bytes_of(frames: Vec<Frame>) -> Vec<u8> {
     frames.into_iter().flat_map(|frame| frame.bytes).collect()
 }
 
-/// Samples over a line that does `damage`.
 pub(super) fn damaged_line(
     transport: Box<dyn Transport>,
     (damage, name): (Damage, &str),

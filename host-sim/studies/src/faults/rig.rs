@@ -23,7 +23,6 @@ pub(super) struct Frame {
     referred: bool,
 }
 
-/// Result of one round.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Round {
     /// Answers of the board, without hellos and markers.

@@ -13,16 +13,13 @@ use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// How an upload fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BadUpload {
     /// It stops before its end, with or without a commit.
     Interrupted,
     /// The board is reset in the middle of it.
     Reset,
-    /// The bank is for another robot.
     WrongRobot,
-    /// The bank is of another format version.
     WrongVersion,
     /// Bytes of the bank are damaged, the checksum of the upload is right.
     Damaged,

@@ -39,7 +39,6 @@ const DISTURBED: [u8; 2] = [1, 2];
 /// Errors of one second, squares in units of the joints' scale: learnt, start, and values.
 type Second = [f64; 3];
 
-/// Record of one run.
 pub(super) struct Trace<const N: usize> {
     pub(super) seconds: Vec<Second>,
     pub(super) tracking: TrackingError<N>,

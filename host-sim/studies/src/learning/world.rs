@@ -120,7 +120,6 @@ impl Source {
     }
 }
 
-/// Motion of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Motion {
     /// Via points, as fast as the arm may.
@@ -135,10 +134,8 @@ pub(super) enum Motion {
     OneJointFirst,
 }
 
-/// Disturbances of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Event {
-    /// No disturbance.
     None,
     /// A body of this share of the rated payload, picked up and let go.
     Payloads(f64),
@@ -146,7 +143,6 @@ pub(super) enum Event {
     Pushes,
 }
 
-/// One scenario.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scenario {
     pub(super) name: &'static str,

@@ -129,7 +129,6 @@ fn samples(conditions: &[Condition]) -> Option<String> {
     })
 }
 
-/// Findings of the times.
 pub(super) fn of_times(times: &Times) -> Option<String> {
     let last = |name: &str| times.least_seconds.get(name)?.last().copied();
     let (rows, reference) = last("wls")?;

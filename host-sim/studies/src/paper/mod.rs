@@ -239,7 +239,6 @@ struct Curves {
     losses: [Vec<(usize, f64, f64)>; 2],
     /// Epoch and loss of the black box.
     black_box: Vec<(usize, f64)>,
-    /// The training data.
     data: Vec<Sample>,
     /// Time, motion, true torque, that of the network with physical weights, that of the black box.
     path: Vec<(f64, State<JOINTS>, [Joints<JOINTS>; 3])>,

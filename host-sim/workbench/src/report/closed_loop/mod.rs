@@ -178,7 +178,6 @@ pub struct ClosedLoopLog<const N: usize> {
     square_feed: Joints<N>,
 }
 
-/// One instant of the run.
 #[derive(Clone, Copy, Debug)]
 struct Point<const N: usize> {
     t_s: f64,
