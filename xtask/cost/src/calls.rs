@@ -3,7 +3,7 @@
 //! Sound as far as it succeeds: every path through every function is followed, conditional instructions both ways. A
 //! target or stack movement that the code does not fix is unknown, never a guess.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 
 use crate::image::Image;
@@ -34,6 +34,8 @@ struct Node {
 pub(crate) struct Walk<'a> {
     image: &'a Image,
     nodes: BTreeMap<u32, Node>,
+    /// The function from which each was reached first; none of an entry.
+    callers: BTreeMap<u32, Option<u32>>,
     /// Places the walk could not decide, with their reasons; empty if the walk is complete.
     pub(crate) unknowns: BTreeSet<String>,
 }
@@ -51,15 +53,19 @@ impl<'a> Walk<'a> {
         let mut walk = Self {
             image,
             nodes: BTreeMap::new(),
+            callers: entries.iter().map(|&entry| (entry, None)).collect(),
             unknowns: BTreeSet::new(),
         };
-        let mut open = entries.to_vec();
-        while let Some(entry) = open.pop() {
-            if walk.nodes.contains_key(&entry) {
-                continue;
-            }
+        // The nearest functions first: paths are the shortest.
+        let mut open = VecDeque::from_iter(entries.iter().copied());
+        while let Some(entry) = open.pop_front() {
             let node = walk.function(entry);
-            open.extend(node.calls.iter().map(|(target, _)| target));
+            for &(target, _) in &node.calls {
+                walk.callers.entry(target).or_insert_with(|| {
+                    open.push_back(target);
+                    Some(entry)
+                });
+            }
             walk.nodes.insert(entry, node);
         }
         walk
@@ -81,26 +87,13 @@ impl<'a> Walk<'a> {
     }
 
     /// The path from an entry to the function of this name, as names.
-    pub(crate) fn path_to(&self, name: &str, entries: &[u32]) -> Vec<String> {
-        let mut from: BTreeMap<u32, Option<u32>> = entries.iter().map(|&e| (e, None)).collect();
-        let mut open: Vec<u32> = entries.to_vec();
-        let mut next = 0;
-        while let Some(&entry) = open.get(next) {
-            next += 1;
-            if self.image.names(entry).any(|n| n == name) {
-                let back = std::iter::successors(Some(entry), |at| *from.get(at)?);
-                let mut path: Vec<_> = back.map(|at| self.name(at)).collect();
-                path.reverse();
-                return path;
-            }
-            for &(target, _) in self.nodes.get(&entry).iter().flat_map(|node| &node.calls) {
-                from.entry(target).or_insert_with(|| {
-                    open.push(target);
-                    Some(entry)
-                });
-            }
-        }
-        Vec::new()
+    pub(crate) fn path_to(&self, name: &str) -> Vec<String> {
+        let mut reached = self.nodes.keys().copied();
+        let found = reached.find(|&entry| self.image.names(entry).any(|n| n == name));
+        let back = std::iter::successors(found, |at| *self.callers.get(at)?);
+        let mut path: Vec<_> = back.map(|at| self.name(at)).collect();
+        path.reverse();
+        path
     }
 
     /// The deepest stack from `entry` on. Recursion is unknown.
@@ -326,7 +319,7 @@ mod tests {
         assert_eq!(depth_and_unknown(&caller), (8 + 16, String::new()));
         let image = image(&caller);
         let walk = Walk::from(&image, &[CALLER]);
-        assert_eq!(walk.path_to("leaf", &[CALLER]), ["caller", "leaf"]);
+        assert_eq!(walk.path_to("leaf"), ["caller", "leaf"]);
         let name = "app::main::set_up";
         let image = Image::of_code(&[("leaf", LEAF, LEAF_CODE), (name, CALLER, &caller)]);
         let mut walk = Walk::from(&image, &[CALLER]);
