@@ -7,7 +7,7 @@ use foretorque::joint::{JointMeasurement, JointVector};
 use foretorque_workbench::dynamics::State;
 use foretorque_workbench::identification::{
     IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig, Prepared,
-    WholeLog, cut_offs, for_each_prepared, identify,
+    WholeLog, for_each_prepared, identify, motion_filter_s,
 };
 use foretorque_workbench::metrics::ErrorSums;
 use foretorque_workbench::robot::Robot;
@@ -30,14 +30,15 @@ pub struct ReplayPath {
     pub files: Vec<PathBuf>,
 }
 
-/// Filters of the reference and of the figures for rows so far apart: at 8 ms those published for the logs of the UR5.
-fn filters(period_s: f64) -> PrepareConfig {
-    let [motion_hz, torque_hz] = cut_offs([20.0, 10.0], period_s);
-    PrepareConfig {
-        motion_hz,
-        torque_hz: Some(torque_hz),
+/// Filters of the reference and of the figures: those published for the logs of the UR5, or of lower cut-offs where rows of
+/// `logs` are too far apart or noisy.
+fn filters(logs: &[&Path], robot: &Robot) -> Result<PrepareConfig, IdentifyError> {
+    let found = PrepareConfig::for_logs(logs, robot)?;
+    Ok(PrepareConfig {
+        motion_hz: found.motion_hz.min(20.0),
+        torque_hz: found.torque_hz.map(|hz| hz.min(10.0)),
         still_rad_s: GATE_RAD_S,
-    }
+    })
 }
 
 pub(super) struct Row<const N: usize> {
@@ -66,6 +67,8 @@ pub(super) struct Logs<const N: usize> {
     pub(super) stretches: Vec<Stretch<N>>,
     /// Time between two rows, s: that of the first log.
     pub(super) period_s: f64,
+    /// Least length of the board's motion filter, s, for the noise of the positions.
+    pub(super) filter_s: f64,
     /// Columns of the reference; none if it is the description.
     pub(super) columns: Option<&'static str>,
     pub(super) notes: Vec<String>,
@@ -82,8 +85,14 @@ pub(super) fn read<const N: usize>(
     progress: Progress<'_>,
 ) -> Result<Logs<N>, StudyError> {
     let mut notes = Vec::new();
-    let mut period_s = None;
-    for file in paths.iter().flat_map(|path| &path.files) {
+    let files: Vec<&Path> = paths
+        .iter()
+        .flat_map(|path| &path.files)
+        .map(PathBuf::as_path)
+        .collect();
+    let (mut period_s, mut filter_s) = (None, 0.0_f64);
+    for &file in &files {
+        filter_s = filter_s.max(motion_filter_s(file, robot)?);
         let own = WholeLog::open(file, robot)?.period_s();
         let first = *period_s.get_or_insert(own);
         if (own / first - 1.0).abs() > 0.05 {
@@ -96,7 +105,7 @@ pub(super) fn read<const N: usize>(
         }
     }
     let period_s = period_s.ok_or_else(|| StudyError::from("no log".to_owned()))?;
-    let prepare = filters(period_s);
+    let prepare = filters(&files, robot)?;
     let (columns_found, references) = references(paths, robot, (prepare, seed), progress)?;
     let missing = COLUMNS.iter();
     let missing = missing.take_while(|text| Some(**text) != columns_found);
@@ -143,6 +152,7 @@ pub(super) fn read<const N: usize>(
     Ok(Logs {
         stretches,
         period_s,
+        filter_s,
         columns: columns_found,
         notes,
     })

@@ -12,7 +12,7 @@ use foretorque::arm::Arm;
 use foretorque::arm::ur5::{self, PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, FeedForwardState, ParameterSet};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig, MAX_BRIDGED, StartDeviations};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, MAX_BRIDGED, StartDeviations, TAPS};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
@@ -35,12 +35,13 @@ const CLOSE: f64 = 1.1;
 /// Length of the window in which the board may not lose to its start, s.
 const WATCHED_S: f64 = 3.0;
 
-/// Parameters of the board before the first row, and the period of the rows.
+/// Parameters of the board before the first row, the period of the rows, and the least length of the motion filter.
 #[derive(Clone, Copy)]
 struct Start<const N: usize, const P: usize> {
     set: ParameterSet<N, P>,
     deviations: StartDeviations<N, P>,
     period_s: f64,
+    filter_s: f64,
 }
 
 impl<const N: usize, const P: usize> Start<N, P> {
@@ -68,7 +69,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
         let set = start.set;
         let mut feedforward = FeedForward::new(FeedForwardConfig::for_arm::<A, P>(period_s), set)?;
         feedforward.set_learning(true);
-        let config = LearnerConfig::for_arm::<A>(period_s);
+        let mut config = LearnerConfig::for_arm::<A>(period_s);
+        let samples = start.filter_s as f32 / (TAPS as f32 * period_s);
+        config.decimation = config.decimation.max(samples.ceil() as u32).min(N as u32);
         let mut learner = Learner::EMPTY;
         learner.restart_with(config, &set, &start.deviations)?;
         Ok(Self {
@@ -234,6 +237,7 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         set,
         deviations,
         period_s,
+        filter_s: logs.filter_s,
     };
     let mut board = Board::<A, N, P>::new(&start)?;
     let mut history = VecDeque::new();

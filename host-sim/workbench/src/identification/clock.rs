@@ -214,7 +214,7 @@ mod tests {
         };
         let note = |times: &[f64], stamps: &[f64], wanted: &str| {
             let (_, log) = written(times, stamps, None);
-            assert!(log.resolution[0] > 0.0);
+            assert!(log.noise[0] > 0.0);
             log.notes.iter().any(|note| note.contains(wanted))
         };
         assert!(note(&moving(&stamps, 1), &stamps, "put on a grid"));

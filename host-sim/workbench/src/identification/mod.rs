@@ -38,7 +38,7 @@ pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
 pub use normal::{CoggingAmplitudes, JointSums};
 pub use page::page;
-pub use prepare::{Preparation, PrepareConfig, Prepared, cut_offs};
+pub use prepare::{Preparation, PrepareConfig, Prepared, motion_filter_s};
 pub use problem::{Candidate, MethodResult, Progress};
 pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,

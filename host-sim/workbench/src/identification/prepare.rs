@@ -33,7 +33,7 @@ pub struct PrepareConfig {
 }
 
 /// Cut-offs on motion and torque for rows `period_s` apart, Hz: those wanted, or less where such rows are too far apart.
-pub fn cut_offs([motion_hz, torque_hz]: [f64; 2], period_s: f64) -> [f64; 2] {
+fn cut_offs([motion_hz, torque_hz]: [f64; 2], period_s: f64) -> [f64; 2] {
     [motion_hz.min(0.4 / period_s), torque_hz.min(0.2 / period_s)]
 }
 
@@ -48,25 +48,43 @@ pub(super) fn other_unit_of_time(period_s: f64) -> String {
     }
 }
 
-/// Largest RMS error of an acceleration by the rounding of the positions, share of the acceleration limit.
-const ROUNDING: f64 = 0.05;
+/// Largest RMS error of an acceleration by the noise of the positions, share of the acceleration limit.
+const NOISE: f64 = 0.05;
 
-/// Cut-off of a low pass, Hz, behind which rounding of the positions to `step`, rad, errs the acceleration by `most`, rad/s²:
-/// white noise of variance step²/12 in rows `period_s` apart.
+/// Cut-off of a low pass, Hz, behind which white noise of the positions of deviation `noise`, rad, in rows `period_s` apart errs
+/// the acceleration by `most`, rad/s².
 ///
 /// ```text
-/// most² = step²/12 · 2 period ∫ (2π f)⁴ df     f from 0 to the cut-off
+/// most² = noise² · 2 period ∫ (2π f)⁴ df     f from 0 to the cut-off
 /// ```
-fn cut_off_of_step(step: f64, most: f64, period_s: f64) -> f64 {
-    let power = most * most * 12.0 * 5.0 / (step * step * 2.0 * period_s * TAU.powi(4));
+fn cut_off_of_noise(noise: f64, most: f64, period_s: f64) -> f64 {
+    let power = most * most * 5.0 / (noise * noise * 2.0 * period_s * TAU.powi(4));
     power.powf(0.2)
+}
+
+/// Length of a quadratic fit, s, of which the same is true. A fit over time T has the variance `720 noise² period / T⁵`.
+fn fit_of_noise_s(noise: f64, most: f64, period_s: f64) -> f64 {
+    (720.0 * noise * noise * period_s / (most * most)).powf(0.2)
+}
+
+/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions errs no acceleration by more
+/// than 5 % of its limit.
+///
+/// Errors: the log's.
+pub fn motion_filter_s(path: &Path, robot: &Robot) -> Result<f64, IdentifyError> {
+    let log = WholeLog::open(path, robot)?;
+    let joints = robot.joints.iter().zip(&log.noise);
+    let lengths = joints.map(|(joint, noise)| {
+        fit_of_noise_s(*noise, NOISE * joint.limits.acceleration, log.period_s())
+    });
+    Ok(lengths.fold(0.0, f64::max))
 }
 
 impl PrepareConfig {
     /// A joint slower than this stands still, rad/s, by default.
     pub const STILL_RAD_S: f64 = MOVING_RAD_S;
 
-    /// Filters of an identification for the slowest and coarsest of `logs`.
+    /// Filters of an identification for the slowest and noisiest of `logs`.
     ///
     /// Errors: the log's.
     pub fn for_logs(logs: &[&Path], robot: &Robot) -> Result<Self, IdentifyError> {
@@ -74,9 +92,9 @@ impl PrepareConfig {
         for path in logs {
             let log = WholeLog::open(path, robot)?;
             let period_s = log.period_s();
-            for (joint, step) in robot.joints.iter().zip(&log.resolution) {
-                let most = ROUNDING * joint.limits.acceleration;
-                motion_hz = motion_hz.min(cut_off_of_step(*step, most, period_s));
+            for (joint, noise) in robot.joints.iter().zip(&log.noise) {
+                let most = NOISE * joint.limits.acceleration;
+                motion_hz = motion_hz.min(cut_off_of_noise(*noise, most, period_s));
             }
             [motion_hz, torque_hz] = cut_offs([motion_hz, torque_hz], period_s);
         }
@@ -390,5 +408,22 @@ impl Prepared {
         smooth(&mut self.tau, joints);
         smooth(&mut self.clean, joints);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fit_of_the_length_for_noise_has_the_acceleration_error_it_should() {
+        let (noise, most, period_s) = (5e-4, 0.5, 1e-3);
+        let half = (fit_of_noise_s(noise, most, period_s) / period_s / 2.0).round() as i32;
+        let squares = || (-half..=half).map(|k| f64::from(k * k));
+        let mean = squares().sum::<f64>() / f64::from(2 * half + 1);
+        // The acceleration is a sum over the positions with weights in proportion to k² − mean.
+        let spread: f64 = squares().map(|square| (square - mean).powi(2)).sum();
+        let error = 2.0 * noise / spread.sqrt() / period_s.powi(2);
+        assert!((error / most - 1.0).abs() < 0.1, "{error} of {most}");
     }
 }

@@ -37,8 +37,8 @@ pub struct WholeLog {
     held: Held,
     /// The first rows, those put in included.
     pub(super) preview: Vec<LogRow>,
-    /// Resolution of the positions, rad.
-    pub(super) resolution: Vec<f64>,
+    /// Noise of the positions, standard deviation, rad.
+    pub(super) noise: Vec<f64>,
     period_s: f64,
     clock: Clock,
     /// Step that 95 % of the rows do not exceed, s.
@@ -96,7 +96,7 @@ impl WholeLog {
             reader,
             held,
             preview: Vec::new(),
-            resolution: resolution(moving),
+            noise: Vec::new(),
             period_s,
             clock,
             longest_s: steps.longest_s,
@@ -115,10 +115,12 @@ impl WholeLog {
                 1e3 * log.period_s
             ));
         }
+        let resolution = resolution(moving);
         for row in first {
             log.read(Some(row));
         }
         log.preview = log.waiting.iter().copied().collect();
+        log.noise = noise(&log.preview[last(&log.preview)], &resolution);
         Ok(log)
     }
 
@@ -278,6 +280,25 @@ fn resolution(rows: &[LogRow]) -> Vec<f64> {
         .collect()
 }
 
+/// Noise of the positions, standard deviation, rad: that of rounding to their `resolution`, or what is seen of it, by drives that
+/// answer late, say. White noise gives its deviation times √70 to fourth differences, where motion hardly shows; nine of ten
+/// are below 1.645 deviations.
+fn noise(rows: &[LogRow], resolution: &[f64]) -> Vec<f64> {
+    let seen = |joint: usize| {
+        let fourth = rows.windows(5).map(|rows| {
+            let [a, b, c, d, e] = std::array::from_fn(|k| rows[k].q[joint]);
+            (a - 4.0 * b + 6.0 * c - 4.0 * d + e).abs()
+        });
+        let mut fourth: Vec<f64> = fourth.collect();
+        fourth.sort_by(f64::total_cmp);
+        let most = fourth.get(fourth.len() * 9 / 10).copied();
+        most.unwrap_or(0.0) / (1.645 * 70_f64.sqrt())
+    };
+    let joints = resolution.iter().enumerate();
+    let deviation = |(joint, step): (usize, &f64)| (step / 12_f64.sqrt()).max(seen(joint));
+    joints.map(deviation).collect()
+}
+
 /// Rows that hold the readings of a slower sensor.
 struct Held {
     /// Rows of one reading of the sensor.
@@ -355,6 +376,7 @@ impl Held {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use std::f64::consts::TAU;
 
     pub(in crate::identification) fn motion(t: f64) -> (f64, f64) {
         (
@@ -392,6 +414,30 @@ pub(super) mod tests {
             rows.push(row);
         }
         (rows, log)
+    }
+
+    #[test]
+    fn noise_of_positions_is_that_of_rounding_and_of_late_reports() {
+        let noise_at = |read: &dyn Fn(usize) -> f64| {
+            let (rows, _) = stamped(&[0.0, 5e-3, 1e-2], &[0.0, 5e-3, 1e-2]);
+            let rows: Vec<LogRow> = (0..4000)
+                .map(|k| LogRow {
+                    q: PerJoint::from_fn(1, |_| read(k)),
+                    ..rows[0]
+                })
+                .collect();
+            noise(&rows, &resolution(&rows))[0]
+        };
+        let path = |t_s: f64| 0.5 * (TAU * 0.5 * t_s).sin();
+        let t_s = |k: usize| 5e-3 * k as f64;
+        // A smooth motion has next to none, rounding to a step that over √12.
+        assert!(noise_at(&|k| path(t_s(k))) < 2e-5);
+        let rounded = noise_at(&|k| (path(t_s(k)) / 1e-3).round() * 1e-3) * 12_f64.sqrt();
+        assert!((1e-3..1.3e-3).contains(&rounded), "{rounded:e}");
+        // A sensor read every 4.6 ms is up to that late: 4.6 ms over √12 times 1.11 rad/s RMS. A few jumps do not count.
+        let late = |k: usize| path((t_s(k) / 4.6e-3).floor() * 4.6e-3);
+        let seen = noise_at(&|k| late(k) + if k % 500 == 0 { 0.3 } else { 0.0 });
+        assert!((1e-3..2.2e-3).contains(&seen), "{seen:e}");
     }
 
     #[test]
