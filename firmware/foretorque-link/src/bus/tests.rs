@@ -4,8 +4,8 @@ use crate::drives::{
     Odrive, Order, Protocol, Ranges, Request, Scale,
 };
 use crate::safety::SafetyState;
-use crate::session::{BoardDescription, LearnerMailbox, Mailboxes, NoClock, Session};
-use crate::wire::{Configuration, FrameBuffer, HostMessage, SampleFrame};
+use crate::session::{LearnerMailbox, tests as session};
+use crate::wire::{Configuration, HostMessage, SampleFrame};
 use foretorque::arm::ur5::Ur5;
 use foretorque::joint::JointMotion;
 
@@ -307,11 +307,8 @@ fn a_fault_that_is_cleared_is_cleared_in_the_drive_too() {
 
 /// A board that is master of its drives, and its host.
 struct Board {
-    board: BoardDrives<Ur5, 6, 40>,
-    session: Session<Ur5, 6, 40>,
-    mailboxes: Mailboxes<6, 40>,
+    board: session::Board<BoardDrives<Ur5, 6, 40>>,
     drives: Drives,
-    sent: u16,
 }
 
 impl Board {
@@ -328,11 +325,8 @@ impl Board {
             joints: config.joints.map(Some).into_iter().collect(),
         };
         Self {
-            board: BoardDrives::new(&wiring),
-            session: Session::new(BoardDescription::plain(NoClock)).unwrap(),
-            mailboxes: Mailboxes::default(),
+            board: session::Board::measuring(BoardDrives::new(&wiring)),
             drives: Drives::of(config),
-            sent: 0,
         }
     }
 
@@ -342,27 +336,24 @@ impl Board {
         messages: &[HostMessage<6>],
         change: impl Fn(usize, &mut JointReply) -> bool,
     ) {
-        let (session, board, mailboxes) = (&mut self.session, &mut self.board, &mut self.mailboxes);
         let mut sent = Vec::new();
         // As the tick's task of the firmware does it.
-        let mut follow = |session: &mut Session<_, 6, 40>, board: &mut BoardDrives<_, 6, 40>| {
-            if board.ticked() {
-                board.follow(session, false, |bus, frame| sent.push((bus, *frame)));
+        let mut follow = |board: &mut session::Board<BoardDrives<Ur5, 6, 40>>| {
+            let (session, drives) = (&mut board.session, &mut board.sensor);
+            if drives.ticked() {
+                drives.follow(session, false, |bus, frame| sent.push((bus, *frame)));
             } else if !session.torque_enabled() {
-                board.damp();
+                drives.damp();
             }
         };
-        session.timer_tick(mailboxes, &mut FrameBuffer::new(), board);
-        follow(session, board);
+        self.board.timer();
+        follow(&mut self.board);
         for message in messages {
-            let (mut request, mut reply) = (FrameBuffer::new(), FrameBuffer::new());
-            request.push(self.sent, message).unwrap();
-            self.sent += 1;
-            session.receive(request.as_bytes(), mailboxes, &mut reply, board);
-            follow(session, board);
+            self.board.send(message);
+            follow(&mut self.board);
         }
         for (bus, frame) in self.drives.answers(&sent, change) {
-            board.receive(bus, &frame);
+            self.board.sensor.receive(bus, &frame);
         }
     }
 
@@ -390,6 +381,10 @@ impl Board {
         }
     }
 
+    fn state(&self) -> SafetyState {
+        self.board.session.safety().state
+    }
+
     fn flows(&self) -> bool {
         self.drives.torque.iter().any(|torque| torque.abs() > 0.05)
     }
@@ -407,10 +402,10 @@ fn a_board_waits_for_drives_that_are_slow_to_switch_on() {
     board.rest_with(1, &[HostMessage::Arm], slow);
     for ms in 0..SLOW_MS {
         board.rest_with(1, &[], slow);
-        assert_eq!(board.session.torque_output()[1], 0.0, "{ms} ms");
+        assert_eq!(board.board.session.torque_output()[1], 0.0, "{ms} ms");
     }
     board.rest(50, &[]);
-    assert_eq!(board.session.safety().state, SafetyState::Armed);
+    assert_eq!(board.state(), SafetyState::Armed);
     assert!(board.flows());
 }
 
@@ -439,11 +434,11 @@ fn a_board_that_is_armed_with_a_cleared_fault_waits_for_scales() {
         }
         board.rest(50, &[HostMessage::Arm]);
         board.rest(600, &[]);
-        assert_eq!(board.session.latched_fault(), SafetyReason::Drive);
+        assert_eq!(board.board.session.latched_fault(), SafetyReason::Drive);
         board.drives.mute = false;
         board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
         board.rest(500, &[]);
-        assert_eq!(board.session.safety().state, SafetyState::Armed, "{mute}");
+        assert_eq!(board.state(), SafetyState::Armed, "{mute}");
         assert_eq!(board.drives.on(), [true; 6]);
     }
 }
@@ -474,7 +469,7 @@ fn a_held_position_does_not_follow_an_arm_that_sags() {
     let mut board = Board::of(Role::Master, config_of(ODRIVE));
     board.rest(50, &[HostMessage::Arm]);
     board.rest(100, &[]);
-    assert_eq!(board.session.safety().state, SafetyState::Armed);
+    assert_eq!(board.state(), SafetyState::Armed);
     board.rest(1, &[HostMessage::Disarm]);
     board.rest(20, &[]);
     board.rest(1, &[HostMessage::Arm]);
@@ -482,7 +477,7 @@ fn a_held_position_does_not_follow_an_arm_that_sags() {
     for _ in 0..500 {
         board.rest(1, &[]);
         board.drives.q.iter_mut().for_each(|q| *q -= 1e-4);
-        assert_eq!(board.session.safety().state, SafetyState::Armed);
+        assert_eq!(board.state(), SafetyState::Armed);
         assert_eq!(board.drives.position, held);
     }
 }
@@ -494,7 +489,7 @@ fn a_state_from_before_the_order_switches_no_drive_on() {
     board.rest(80, &[HostMessage::Arm]);
     for _ in 0..2 {
         board.rest(300, &[]);
-        assert_eq!(board.session.safety().state, SafetyState::Armed);
+        assert_eq!(board.state(), SafetyState::Armed);
         assert_eq!(board.drives.on(), [true; 6]);
         // It is armed again while the drives damp.
         board.rest(1, &[HostMessage::Disarm]);
@@ -502,7 +497,7 @@ fn a_state_from_before_the_order_switches_no_drive_on() {
         board.rest(1, &[HostMessage::Arm]);
         board.rest(1000, &[]);
     }
-    assert_eq!(board.session.latched_fault(), SafetyReason::None);
+    assert_eq!(board.board.session.latched_fault(), SafetyReason::None);
 }
 
 #[test]
@@ -518,12 +513,12 @@ fn nodes_that_boot_are_started_and_switched_on_step_by_step() {
         board.rest(50, &[HostMessage::Arm]);
         board.rest(50, &[]);
         assert_eq!(board.drives.on(), [true; 6]);
-        assert_eq!(board.session.safety().state, SafetyState::Armed);
+        assert_eq!(board.state(), SafetyState::Armed);
         // A node that boots again is off, which is a fault; after that it is started again.
         board.drives.started[3] = false;
         board.drives.states[3] = DriveState::NotReady;
         board.rest(1200, &[]);
-        assert_eq!(board.session.latched_fault(), SafetyReason::Drive);
+        assert_eq!(board.board.session.latched_fault(), SafetyReason::Drive);
         board.rest(1, &[HostMessage::ClearFault, HostMessage::Arm]);
         board.rest(100, &[]);
         assert_eq!(board.drives.on(), [true; 6]);
@@ -539,15 +534,13 @@ fn a_temperature_that_no_longer_comes_makes_a_warm_motor() {
     };
     board.period(&[HostMessage::Configure(slow)], |_, _| true);
     let celsius = [40.0_f32.to_le_bytes(), 30.0_f32.to_le_bytes()].concat();
-    board
-        .board
-        .receive(0, &Frame::standard(1 << 5 | 0x15, &celsius));
+    let drives = &mut board.board.sensor;
+    drives.receive(0, &Frame::standard(1 << 5 | 0x15, &celsius));
     board.rest(10, &[]);
-    let statistics = board.session.statistics(&board.mailboxes.learner);
-    assert_eq!(statistics.hottest_c, 40);
-    assert_ne!(board.session.safety().reason, SafetyReason::MotorWarm);
+    assert_eq!(board.board.statistics().hottest_c, 40);
+    assert_ne!(board.board.session.safety().reason, SafetyReason::MotorWarm);
     board.rest(1050, &[]);
-    assert_eq!(board.session.safety().reason, SafetyReason::MotorWarm);
+    assert_eq!(board.board.session.safety().reason, SafetyReason::MotorWarm);
 }
 
 #[test]
@@ -559,7 +552,7 @@ fn a_temperature_beyond_the_plausible_ones_is_hot_in_line_too() {
                 let (mut frames, mut carry) = (Frames::new(), Carry::default());
                 let command = JointCommand::default();
                 joint.drive.command(&command, &mut carry, &mut frames);
-                board.board.receive(0, &frames[0]);
+                board.board.sensor.receive(0, &frames[0]);
                 frames.clear();
                 let reply = JointReply {
                     temperature: Some(celsius),
@@ -567,12 +560,13 @@ fn a_temperature_beyond_the_plausible_ones_is_hot_in_line_too() {
                     ..JointReply::default()
                 };
                 joint.drive.reply(&reply, &mut frames);
-                board.board.receive(1, &frames[0]);
+                board.board.sensor.receive(1, &frames[0]);
             }
             board.rest(1, &[HostMessage::Arm]);
         }
-        let flows = board.session.torque_enabled();
-        assert_eq!(flows, armed, "{celsius} °C: {}", board.session.safety());
+        let session = &board.board.session;
+        let (flows, safety) = (session.torque_enabled(), session.safety());
+        assert_eq!(flows, armed, "{celsius} °C: {safety}");
     }
 }
 

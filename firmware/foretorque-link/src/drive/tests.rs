@@ -1,15 +1,11 @@
 //! A board with motor stage and encoder under test.
 
 use super::*;
-use crate::hal::{
-    AbsoluteEncoder, Chip, Direction, EncoderConfig, EncoderError, OutputError, TorqueScale,
-};
+use crate::hal::tests::{Bench, Pins};
+use crate::hal::{AbsoluteEncoder, Chip, Direction, EncoderConfig, EncoderError, TorqueScale};
 use crate::safety::SafetyState;
 use crate::session::tests::{self as session, ACK, N, nack, torque};
 use crate::wire::{BoardMessage, HostMessage, NackReason, Pacing, SampleFrame, TorqueFrame};
-use core::convert::Infallible;
-use embedded_hal::digital::ErrorType;
-use embedded_hal::spi::ErrorKind;
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque::limits::Flags;
 use std::cell::RefCell;
@@ -24,61 +20,10 @@ const SCALE: TorqueScale = TorqueScale {
 };
 const FULL_SCALE_NM: f32 = 200.0;
 
-/// State of the motor stage's pins and output.
-#[derive(Default)]
-struct Bench {
-    enabled: bool,
-    fault: bool,
-    levels: Vec<f32>,
-    output_fails: bool,
-}
-
-/// Every pin and the output of the motor stage.
-#[derive(Clone, Default)]
-struct Pins(Rc<RefCell<Bench>>);
-
-impl ErrorType for Pins {
-    type Error = Infallible;
-}
-
-impl OutputPin for Pins {
-    fn set_low(&mut self) -> Result<(), Infallible> {
-        self.0.borrow_mut().enabled = false;
-        Ok(())
-    }
-
-    fn set_high(&mut self) -> Result<(), Infallible> {
-        self.0.borrow_mut().enabled = true;
-        Ok(())
-    }
-}
-
-impl InputPin for Pins {
-    fn is_high(&mut self) -> Result<bool, Infallible> {
-        Ok(!self.0.borrow().fault)
-    }
-
-    fn is_low(&mut self) -> Result<bool, Infallible> {
-        Ok(self.0.borrow().fault)
-    }
-}
-
-impl TorqueOutput for Pins {
-    fn command(&mut self, level: f32) -> Result<(), OutputError> {
-        let mut bench = self.0.borrow_mut();
-        if bench.output_fails {
-            return Err(OutputError::Bus(ErrorKind::Other));
-        }
-        bench.levels.push(level);
-        Ok(())
-    }
-}
-
 /// A board with a stage and an encoder, in the order of calls of its firmware.
 struct Board {
-    board: session::Board,
+    board: session::Board<JointEncoder<Chip>>,
     stage: JointStage<Pins, Pins, Pins>,
-    encoder: JointEncoder<Chip>,
     bench: Rc<RefCell<Bench>>,
 }
 
@@ -94,9 +39,8 @@ impl Board {
         };
         let encoder = AbsoluteEncoder::new(Chip::new(0), config).unwrap();
         Self {
-            board: session::Board::new(),
+            board: session::Board::measuring(JointEncoder::new(encoder, JOINT, turn)),
             stage: JointStage::new(stage, JOINT),
-            encoder: JointEncoder::new(encoder, JOINT, turn),
             bench: pins.0,
         }
     }
@@ -114,22 +58,9 @@ impl Board {
 
     fn request(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
         self.stage.check(&mut self.board.session);
-        let frame = self.board.numbered(&message);
-        let sensor = &mut self.encoder;
-        let mut replies = self.board.output(|session, mailboxes, out| {
-            session.receive(&frame, mailboxes, out, sensor);
-        });
+        let reply = self.board.request(message);
         self.stage.apply(&mut self.board.session);
-        replies.remove(0).1
-    }
-
-    /// One period of the timer.
-    fn timer(&mut self) {
-        let sensor = &mut self.encoder;
-        self.board.output(|session, mailboxes, out| {
-            session.timer_tick(mailboxes, out, sensor);
-        });
-        self.stage.apply(&mut self.board.session);
+        reply
     }
 
     fn sample(&mut self, sample: &JointSample<N>) -> TorqueFrame<N> {
@@ -148,7 +79,11 @@ impl Board {
     }
 
     fn chip(&mut self) -> &mut Chip {
-        &mut self.encoder.encoder.spi
+        &mut self.board.sensor.encoder.spi
+    }
+
+    fn read_error(&self) -> Option<EncoderError> {
+        self.board.sensor.last_error()
     }
 
     fn enabled(&self) -> bool {
@@ -194,11 +129,11 @@ fn a_failed_reading_drops_the_measurement_only() {
     assert_eq!(reply.safety.reason, SafetyReason::Encoder);
     assert!(Flags(reply.flags).contains(Flags::NO_MEASUREMENT));
     assert_eq!(reply.total, torque);
-    assert_eq!(board.encoder.last_error(), Some(EncoderError::Parity));
+    assert_eq!(board.read_error(), Some(EncoderError::Parity));
     let reply = board.sample(&still(0.0));
     assert_eq!(reply.safety.reason, SafetyReason::None);
     assert!(!Flags(reply.flags).contains(Flags::NO_MEASUREMENT));
-    assert_eq!(board.encoder.last_error(), None);
+    assert_eq!(board.read_error(), None);
 }
 
 #[test]
@@ -221,7 +156,7 @@ fn a_missing_encoder_ends_the_torque_and_latches() {
         assert_eq!((safety.state, safety.reason), latched);
         let reported = (0..4).any(|_| {
             board.sample(&still(0.0));
-            board.encoder.last_error() == Some(error)
+            board.read_error() == Some(error)
         });
         assert!(reported, "{level:#x}");
     }
@@ -232,14 +167,14 @@ fn a_lost_turn_is_restored_at_rest_only() {
     let mut board = Board::armed(NEAR);
     board.chip().angle = 1500;
     board.sample(&still(0.0));
-    assert_eq!(board.encoder.last_error(), Some(EncoderError::Jump));
+    assert_eq!(board.read_error(), Some(EncoderError::Jump));
     board.chip().angle = 0;
     while board.board.session.torque_enabled() {
         board.sample(&still(0.0));
-        assert_eq!(board.encoder.last_error(), Some(EncoderError::NoReference));
+        assert_eq!(board.read_error(), Some(EncoderError::NoReference));
     }
     board.sample(&still(0.0));
-    assert_eq!(board.encoder.last_error(), None);
+    assert_eq!(board.read_error(), None);
     assert_eq!(board.request(HostMessage::ClearFault), ACK);
     board.samples(5);
     assert_eq!(board.request(HostMessage::Arm), ACK);
@@ -254,9 +189,9 @@ fn behind_a_gear_the_sample_gives_the_turn() {
         let safety = board.sample(&unmeasured).safety;
         assert_eq!(safety.reason, SafetyReason::Encoder);
     }
-    assert_eq!(board.encoder.last_error(), Some(EncoderError::NoReference));
+    assert_eq!(board.read_error(), Some(EncoderError::NoReference));
     (0..5).for_each(|_| _ = board.sample(&still(0.1)));
-    assert_eq!(board.encoder.last_error(), None);
+    assert_eq!(board.read_error(), None);
     assert_eq!(board.request(HostMessage::Arm), ACK);
 }
 
@@ -266,7 +201,7 @@ fn a_tick_of_the_timer_reads_the_encoder_too() {
     board.samples(5);
     board.board.pace(Pacing::SysTick);
     let before = board.chip().frames;
-    (0..10).for_each(|_| board.timer());
+    (0..10).for_each(|_| _ = board.board.timer());
     assert_eq!(board.chip().frames, before + 20);
 }
 

@@ -233,83 +233,114 @@ where
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
-    use embedded_hal::spi::ErrorKind;
-    use embedded_hal_mock::eh1::MockError;
-    use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
+    use embedded_hal::digital::{ErrorKind, ErrorType, PinState};
+    use std::cell::RefCell;
+    use std::rc::Rc;
 
-    const SCALE: TorqueScale = TorqueScale {
-        gain_nm_per_a: 10.0,
-        full_scale_a: 20.0,
-        limit_nm: 150.0,
-    };
-    const FAILED: OutputError = OutputError::Bus(ErrorKind::Other);
-
-    /// Records the commands; the one at `fails` fails.
+    /// State of the pins and of the output of a motor stage, each of which can fail.
     #[derive(Default)]
-    struct Recorder {
-        levels: Vec<f32>,
-        fails: Option<usize>,
+    pub(crate) struct Bench {
+        pub(crate) enabled: bool,
+        pub(crate) enable_fails: bool,
+        pub(crate) fault: bool,
+        pub(crate) fault_fails: bool,
+        /// Commands, with those that failed.
+        pub(crate) levels: Vec<f32>,
+        pub(crate) output_fails: bool,
     }
 
-    impl TorqueOutput for Recorder {
+    /// Every pin and the output of a motor stage.
+    #[derive(Clone, Default)]
+    pub(crate) struct Pins(pub(crate) Rc<RefCell<Bench>>);
+
+    impl ErrorType for Pins {
+        type Error = ErrorKind;
+    }
+
+    impl OutputPin for Pins {
+        fn set_low(&mut self) -> Result<(), ErrorKind> {
+            self.set_state(PinState::Low)
+        }
+
+        fn set_high(&mut self) -> Result<(), ErrorKind> {
+            self.set_state(PinState::High)
+        }
+
+        fn set_state(&mut self, state: PinState) -> Result<(), ErrorKind> {
+            let mut bench = self.0.borrow_mut();
+            if bench.enable_fails {
+                return Err(ErrorKind::Other);
+            }
+            bench.enabled = state == PinState::High;
+            Ok(())
+        }
+    }
+
+    impl InputPin for Pins {
+        fn is_high(&mut self) -> Result<bool, ErrorKind> {
+            self.is_low().map(|low| !low)
+        }
+
+        fn is_low(&mut self) -> Result<bool, ErrorKind> {
+            let bench = self.0.borrow();
+            if bench.fault_fails {
+                return Err(ErrorKind::Other);
+            }
+            Ok(bench.fault)
+        }
+    }
+
+    impl TorqueOutput for Pins {
         fn command(&mut self, level: f32) -> Result<(), OutputError> {
-            self.levels.push(level);
-            if self.fails == Some(self.levels.len() - 1) {
+            let mut bench = self.0.borrow_mut();
+            bench.levels.push(level);
+            if bench.output_fails {
                 return Err(FAILED);
             }
             Ok(())
         }
     }
 
-    fn low() -> Transaction {
-        Transaction::set(State::Low)
+    type Stage = MotorStage<Pins, Pins, Pins>;
+
+    const SCALE: TorqueScale = TorqueScale {
+        gain_nm_per_a: 10.0,
+        full_scale_a: 20.0,
+        limit_nm: 150.0,
+    };
+    const FAILED: OutputError = OutputError::Bus(embedded_hal::spi::ErrorKind::Other);
+
+    /// A new stage on pins whose enable was on, and their state.
+    fn new(scale: TorqueScale) -> (Result<Stage, StageError>, Rc<RefCell<Bench>>) {
+        let pins = Pins::default();
+        pins.0.borrow_mut().enabled = true;
+        let stage = MotorStage::new(pins.clone(), pins.clone(), pins.clone(), scale);
+        assert!(!pins.0.borrow().enabled, "off after construction");
+        (stage, pins.0)
     }
 
-    fn high() -> Transaction {
-        Transaction::set(State::High)
-    }
-
-    fn fault(present: bool) -> Transaction {
-        Transaction::get(if present { State::Low } else { State::High })
-    }
-
-    fn broken(transaction: Transaction) -> Transaction {
-        transaction.with_error(MockError::Io(std::io::ErrorKind::BrokenPipe))
+    fn enabled(scale: TorqueScale) -> (Stage, Rc<RefCell<Bench>>) {
+        let (stage, bench) = new(scale);
+        let mut stage = stage.unwrap();
+        stage.enable().unwrap();
+        assert!(stage.is_enabled() && bench.borrow().enabled);
+        assert_eq!(bench.borrow().levels, [0.0, 0.0]);
+        (stage, bench)
     }
 
     #[test]
     fn a_pin_that_stays_counts_as_what_it_is() {
-        for (sets, on) in [
-            (vec![low(), high(), broken(low())], true),
-            (vec![low(), broken(high())], false),
-        ] {
-            let mut enable = TorqueEnable::new(Mock::new(&sets)).unwrap();
-            assert_eq!(enable.on().is_ok(), on);
-            assert!(!on || enable.off().is_err());
+        let pins = Pins::default();
+        let mut enable = TorqueEnable::new(pins.clone()).unwrap();
+        for on in [false, true] {
+            pins.0.borrow_mut().enable_fails = true;
+            assert!(enable.on().is_err() && enable.off().is_err());
             assert_eq!(enable.is_on(), on);
-            enable.release().done();
+            pins.0.borrow_mut().enable_fails = false;
+            enable.on().unwrap();
         }
-    }
-
-    /// A stage whose pins expect exactly these transactions.
-    fn stage(
-        scale: TorqueScale,
-        fails: Option<usize>,
-        enables: &[Transaction],
-        faults: &[Transaction],
-    ) -> MotorStage<Recorder, Mock, Mock> {
-        let levels = Vec::new();
-        let recorder = Recorder { levels, fails };
-        MotorStage::new(recorder, Mock::new(enables), Mock::new(faults), scale).unwrap()
-    }
-
-    fn levels(stage: MotorStage<Recorder, Mock, Mock>) -> Vec<f32> {
-        let (output, mut enable, mut fault) = stage.release();
-        enable.done();
-        fault.done();
-        output.levels
     }
 
     #[test]
@@ -323,68 +354,59 @@ mod tests {
         ] {
             let mut scale = SCALE;
             scale.gain_nm_per_a = gain;
-            let mut stage = stage(scale, None, &[low(), high()], &[fault(false), fault(false)]);
-            stage.enable().unwrap();
+            let (mut stage, bench) = enabled(scale);
             stage.drive(wanted).unwrap();
-            let levels = levels(stage);
-            assert_eq!(levels[..2], [0.0, 0.0]);
-            assert!((levels[2] - level).abs() < 1e-6, "{wanted}: {}", levels[2]);
+            let given = bench.borrow().levels[2];
+            assert!((given - level).abs() < 1e-6, "{wanted}: {given}");
         }
     }
 
     #[test]
     fn nothing_is_put_out_while_disabled() {
-        let mut stage = stage(SCALE, None, &[low(), high(), low()], &[fault(false)]);
-        assert_eq!(stage.drive(10.0), Err(StageError::Disabled));
-        stage.enable().unwrap();
-        assert!(stage.is_enabled());
+        let (mut stage, bench) = enabled(SCALE);
         stage.disable().unwrap();
+        assert!(!stage.is_enabled() && !bench.borrow().enabled);
         assert_eq!(stage.drive(10.0), Err(StageError::Disabled));
-        assert_eq!(levels(stage), [0.0; 3]);
+        assert_eq!(bench.borrow().levels, [0.0; 3]);
     }
 
     #[test]
-    fn errors_switch_the_enable_off() {
-        let cases = [
-            (Some(2), fault(false), 10.0, StageError::Output(FAILED)),
-            (None, fault(true), 10.0, StageError::Fault),
-            (None, broken(fault(false)), 10.0, StageError::FaultInput),
-            (None, fault(false), f32::NAN, StageError::NotFinite),
-            (None, fault(false), f32::INFINITY, StageError::NotFinite),
+    fn errors_switch_the_enable_off_and_prevent_that_it_is_switched_on() {
+        type Change = fn(&mut Bench);
+        let output = StageError::Output(FAILED);
+        let cases: [(Change, f32, StageError); 5] = [
+            (|bench| bench.output_fails = true, 10.0, output),
+            (|bench| bench.fault = true, 10.0, StageError::Fault),
+            (
+                |bench| bench.fault_fails = true,
+                10.0,
+                StageError::FaultInput,
+            ),
+            (|_| {}, f32::NAN, StageError::NotFinite),
+            (|_| {}, f32::INFINITY, StageError::NotFinite),
         ];
-        for (fails, seen, wanted, error) in cases {
-            let mut stage = stage(SCALE, fails, &[low(), high(), low()], &[fault(false), seen]);
-            stage.enable().unwrap();
+        for (change, wanted, error) in cases {
+            let (mut stage, bench) = enabled(SCALE);
+            change(&mut bench.borrow_mut());
             assert_eq!(stage.drive(wanted), Err(error));
-            assert!(!stage.is_enabled());
+            assert!(!stage.is_enabled() && !bench.borrow().enabled);
+            assert_eq!(bench.borrow().levels.last(), Some(&0.0), "{error}");
             assert_eq!(stage.drive(1.0), Err(StageError::Disabled));
-            assert_eq!(levels(stage).last(), Some(&0.0), "{error}");
+            if error != StageError::NotFinite {
+                assert_eq!(stage.enable(), Err(error));
+                assert!(!stage.is_enabled() && !bench.borrow().enabled);
+            }
         }
     }
 
     #[test]
     fn an_enable_that_stays_on_is_reported_and_tried_again() {
-        let enables = [low(), high(), broken(low()), low()];
-        let faults = [fault(false), fault(true), fault(true)];
-        let mut stage = stage(SCALE, None, &enables, &faults);
-        stage.enable().unwrap();
-        assert_eq!(stage.drive(1.0), Err(StageError::Enable));
-        assert!(stage.is_enabled());
-        assert_eq!(stage.drive(1.0), Err(StageError::Fault));
-        assert!(!stage.is_enabled());
-        levels(stage);
-    }
-
-    #[test]
-    fn a_stage_with_a_fault_or_an_output_that_cannot_be_zeroed_is_not_enabled() {
-        for (fails, seen, error) in [
-            (None, fault(true), StageError::Fault),
-            (Some(1), fault(false), StageError::Output(FAILED)),
-        ] {
-            let mut stage = stage(SCALE, fails, &[low(), low()], &[seen]);
-            assert_eq!(stage.enable(), Err(error));
-            assert!(!stage.is_enabled());
-            levels(stage);
+        let (mut stage, bench) = enabled(SCALE);
+        bench.borrow_mut().fault = true;
+        for (fails, error) in [(true, StageError::Enable), (false, StageError::Fault)] {
+            bench.borrow_mut().enable_fails = fails;
+            assert_eq!(stage.drive(1.0), Err(error));
+            assert_eq!((stage.is_enabled(), bench.borrow().enabled), (fails, fails));
         }
     }
 
@@ -399,17 +421,14 @@ mod tests {
             (10.0, f32::INFINITY, 1.0),
             (10.0, 20.0, f32::NAN),
         ] {
-            let (mut enable, mut fault) = (Mock::new(&[low()]), Mock::new(&[]));
             let scale = TorqueScale {
                 gain_nm_per_a,
                 full_scale_a,
                 limit_nm,
             };
-            let output = Recorder::default();
-            let refused = MotorStage::new(output, enable.clone(), fault.clone(), scale);
+            let (refused, bench) = new(scale);
             assert_eq!(refused.map(drop), Err(StageError::Scale), "{scale:?}");
-            enable.done();
-            fault.done();
+            assert_eq!(bench.borrow().levels, []);
         }
     }
 }

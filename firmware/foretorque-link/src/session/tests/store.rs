@@ -52,7 +52,6 @@ impl NorFlash for Flash {
     }
 }
 
-/// A board with a store.
 pub(super) fn storing(write_key: Option<WriteKey>) -> Board {
     let mut board = Board::with(|board| {
         board.capabilities = Capabilities::LEARNING | Capabilities::STORE;
@@ -163,7 +162,7 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
         let outcome = board.housekeeping.execute();
         let parameters = &mut board.mailboxes.parameters;
         board.housekeeping.finish(parameters, outcome);
-        board.output(|session, mailboxes, out| session.poll_parameters(mailboxes, out))
+        board.output(|session, mailboxes, out, _| session.poll_parameters(mailboxes, out))
     };
     let busy = nack(NackReason::Busy);
     started(HostMessage::Save, &mut board);
