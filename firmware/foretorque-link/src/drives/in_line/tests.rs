@@ -3,23 +3,13 @@
 use super::super::tests::{PROTOCOLS, profile};
 use super::super::{Carry, Frames, JointReply, Order};
 use super::*;
+use proptest::prelude::RngExt as _;
+use proptest::test_runner::{RngAlgorithm, TestRng};
 
 const TIMEOUT_US: u32 = 5000;
 
-/// Xorshift64*.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
-    }
-
-    fn share(&mut self) -> f32 {
-        (self.next() >> 40) as f32 / (1 << 24) as f32
-    }
+fn random() -> TestRng {
+    TestRng::deterministic_rng(RngAlgorithm::XorShift)
 }
 
 /// Damiao, CyberGear and ODrive, each with an identifier of its own.
@@ -46,30 +36,29 @@ fn torque_of(profile: &DriveProfile, frame: &Frame) -> f32 {
 }
 
 /// A frame of the mix, and the joint whose motion command it is.
-fn mixed(arm: &[DriveProfile; 3], random: &mut Random) -> (Frame, Option<usize>) {
-    let joint = (random.next() % 3) as usize;
+fn mixed(arm: &[DriveProfile; 3], random: &mut TestRng) -> (Frame, Option<usize>) {
+    let joint = random.random_range(0..3);
     let (profile, mut frames) = (&arm[joint], Frames::new());
-    match random.next() % 4 {
+    match random.random_range(0..4) {
         0 => {
             let command = JointCommand {
-                position: random.share(),
-                torque: 12.0 * random.share() - 6.0,
-                kp: 50.0 * random.share(),
+                position: random.random(),
+                torque: random.random_range(-6.0..6.0),
+                kp: random.random_range(0.0..50.0),
                 ..JointCommand::default()
             };
             return (sent(profile, &command), Some(joint));
         }
         1 => {
             use Order::{ClearFault, Disable, Enable, SetZero};
-            let order = [Enable, Disable, ClearFault, SetZero][(random.next() % 4) as usize];
-            profile.order(order, &mut frames);
+            let orders = [Enable, Disable, ClearFault, SetZero];
+            profile.order(orders[random.random_range(0..4)], &mut frames);
         }
         2 => profile.reply(&JointReply::default(), &mut frames),
         _ => {
-            let data = random.next().to_le_bytes();
-            let bytes = &data[..(random.next() % 9) as usize];
-            let id = random.next() as u32;
-            let frame = Frame::new(id, random.next().is_multiple_of(2), bytes);
+            let data: [u8; 8] = random.random();
+            let bytes = &data[..random.random_range(0..=8)];
+            let frame = Frame::new(random.random(), random.random(), bytes);
             let own = arm
                 .iter()
                 .position(|profile| matches!(profile.accept(&frame), Some(Request::Command(_))));
@@ -81,7 +70,7 @@ fn mixed(arm: &[DriveProfile; 3], random: &mut Random) -> (Frame, Option<usize>)
 
 #[test]
 fn a_million_mixed_frames_pass_with_the_torque_added_to_commands_alone() {
-    let (arm, mut random) = (arm(), Random(7));
+    let (arm, mut random) = (arm(), random());
     let mut board = InLine::new(arm.map(Some), TIMEOUT_US);
     let (mut foreign, mut changed) = (0, 0);
     let added = [1.5, -0.75, 0.25];
@@ -112,7 +101,7 @@ fn a_million_mixed_frames_pass_with_the_torque_added_to_commands_alone() {
 
 #[test]
 fn without_a_young_torque_nothing_changes() {
-    let (arm, mut random) = (arm(), Random(9));
+    let (arm, mut random) = (arm(), random());
     let mut cases = [(); 5].map(|()| InLine::new(arm.map(Some), TIMEOUT_US));
     let ([_, cleared, late, rubbish, zero], now) = (&mut cases, 1_000_000);
     cleared.set(&[1.0; 3], now);
@@ -138,7 +127,7 @@ fn without_a_young_torque_nothing_changes() {
 
 #[test]
 fn added_torque_has_no_bias_and_makes_no_order() {
-    let (arm, mut random) = (arm(), Random(11));
+    let (arm, mut random) = (arm(), random());
     let mut board = InLine::new(arm.map(Some), TIMEOUT_US);
     board.set(&[0.0011; 3], 0);
     for (joint, profile) in arm.iter().enumerate() {
@@ -156,7 +145,7 @@ fn added_torque_has_no_bias_and_makes_no_order() {
     for torque in [9.0, -9.0] {
         board.set(&[torque; 3], 0);
         for _ in 0..10_000 {
-            let data = random.next().to_le_bytes().map(|byte| byte | 0xfe);
+            let data = random.random::<[u8; 8]>().map(|byte| byte | 0xfe);
             let sent = Frame::standard(1, &data);
             let mut passed = sent;
             let was_command = board.to_drives(&mut passed, 0).is_some();
@@ -192,7 +181,7 @@ impl Port for Wire {
 
 #[test]
 fn a_bridge_passes_both_ways_in_order_and_outlives_a_dead_bus() {
-    let (arm, mut random) = (arm(), Random(13));
+    let (arm, mut random) = (arm(), random());
     let line = InLine::new(arm.map(Some), TIMEOUT_US);
     let ports = [Wire::default(), Wire::default()];
     let mut bridge = Bridge::new(ports, Some(line), u32::MAX);
@@ -200,7 +189,7 @@ fn a_bridge_passes_both_ways_in_order_and_outlives_a_dead_bus() {
     let mut rounds = |bridge: &mut Bridge<Wire, 3>, count: u32, alive: bool| {
         for round in 0..count {
             let (frame, _) = mixed(&arm, &mut random);
-            let way = (random.next() % 2) as usize;
+            let way = random.random_range(0..2);
             bridge.ports()[way].arrived.push_back(frame);
             sent[way].push(frame);
             bridge.pass(round.wrapping_mul(100), |port, _| {
