@@ -1,5 +1,7 @@
 //! Codecs: there and back within half a step, saturation, refusal, unbiased torque. Arbitrary frames are those of the fuzzer.
 
+mod clients;
+
 use super::*;
 use proptest::prelude::*;
 

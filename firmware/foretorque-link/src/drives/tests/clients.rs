@@ -1,10 +1,11 @@
 //! Codecs against the clients of tests/data/drives: 200 000 commands each, and replies.
 
-use foretorque_link::drives::*;
+use super::{motion, values};
+use crate::drives::*;
+use crate::wire::CRC;
 use std::f32::consts::TAU;
 use std::path::Path;
 
-const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 const ROWS: usize = 200_000;
 const ID: u16 = 3;
 const HOST: u16 = 0x13;
@@ -18,13 +19,11 @@ fn splitmix(state: &mut u64) -> u64 {
 
 fn profile(protocol: Protocol) -> DriveProfile {
     let mut profile = DriveProfile {
-        protocol,
         id: ID,
         host_id: HOST,
         sign: 1.0,
         zero: 0.0,
-        gear: 1.0,
-        torque_limit: 1.0,
+        ..super::profile(protocol)
     };
     profile.torque_limit = profile.largest_torque();
     profile.check().unwrap();
@@ -51,14 +50,10 @@ fn frame(id: u32, data: &[u8]) -> Frame {
 /// Command that the drive reads, in the units of the client.
 fn accepted(client: &Client, profile: &DriveProfile, frame: &Frame) -> [f64; 5] {
     match profile.accept(frame) {
-        Some(Request::Command(c)) => [
-            c.position / client.unit,
-            c.velocity / client.unit,
-            c.torque,
-            c.kp,
-            c.kd,
-        ]
-        .map(f64::from),
+        Some(Request::Command(command)) => {
+            let [p, v, torque, kp, kd] = values(&command);
+            [p / client.unit, v / client.unit, torque, kp, kd].map(f64::from)
+        }
         other => panic!("{}: {frame:?} reads as {other:?}", client.table),
     }
 }
@@ -88,14 +83,7 @@ fn commands_agree_with_the_clients() {
                 assert_eq!(*kept, line, "{table}, row {row}: {value:?}");
             }
             let [p, v, torque, kp, kd] = value.map(|value| value as f32);
-            let (position, velocity) = (p * client.unit, v * client.unit);
-            let command = JointCommand {
-                position,
-                velocity,
-                torque,
-                kp,
-                kd,
-            };
+            let command = motion([p * client.unit, v * client.unit, torque, kp, kd]);
             let mut frames = Frames::new();
             let _ = profile.command(&command, &mut Carry::default(), &mut frames);
             let theirs = frame(id, &data);
