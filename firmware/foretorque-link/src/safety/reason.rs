@@ -18,61 +18,55 @@ pub enum SafetyState {
 
 /// Declares the reasons with their texts, in the order of their codes.
 macro_rules! reasons {
-    ($($(#[$attribute:meta])* $reason:ident = $text:literal,)*) => {
-        /// Reason why the torque is, or may soon be, less than requested. Variants are only ever appended: their index is
-        /// the code on the wire and in the memory that outlives a reset.
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-        pub enum SafetyReason {
-            $(#[doc = $text] $(#[$attribute])* $reason,)*
+    ($($(#[$attribute:meta])* $reason:ident = $text:literal;)*) => {
+        errors! {
+            /// Reason why the torque is, or may soon be, less than requested. Variants are only ever appended: their index
+            /// is the code on the wire and in the memory that outlives a reset.
+            #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+            #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+            pub enum SafetyReason {
+                $($(#[$attribute])* $reason = $text;)*
+            }
         }
 
         impl SafetyReason {
             /// Every reason, in the order of their codes.
             pub const ALL: [Self; 24] = [$(Self::$reason),*];
         }
-
-        impl fmt::Display for SafetyReason {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str(match self {
-                    $(Self::$reason => $text,)*
-                })
-            }
-        }
     };
 }
 
 reasons! {
     #[default]
-    None = "no fault",
-    Disarmed = "disarmed by the host",
+    None = "no fault";
+    Disarmed = "disarmed by the host";
     /// (Limit: [`COMMAND_TIMEOUT_US`](super::COMMAND_TIMEOUT_US).)
-    CommandTimeout = "no usable sample in time",
-    Stopped = "emergency stop",
-    DesiredNotFinite = "desired motion not finite",
-    DesiredJump = "desired position faster than the joint",
-    MeasuredNotFinite = "measured position or effort not finite",
-    PositionRange = "measured position out of range",
-    PositionJump = "measured position faster than the joint",
+    CommandTimeout = "no usable sample in time";
+    Stopped = "emergency stop";
+    DesiredNotFinite = "desired motion not finite";
+    DesiredJump = "desired position faster than the joint";
+    MeasuredNotFinite = "measured position or effort not finite";
+    PositionRange = "measured position out of range";
+    PositionJump = "measured position faster than the joint";
     /// (Limit: three torque limits.)
-    EffortRange = "measured effort out of range",
-    MotorWarm = "motor warm, torque limit reduced",
-    MotorHot = "motor too hot",
-    TorqueNotFinite = "torque of the tick not finite",
-    Drive = "drive fault",
+    EffortRange = "measured effort out of range";
+    MotorWarm = "motor warm, torque limit reduced";
+    MotorHot = "motor too hot";
+    TorqueNotFinite = "torque of the tick not finite";
+    Drive = "drive fault";
     /// (Causes: panic, processor fault, stack overflow, watchdog.)
-    Restarted = "the firmware restarted itself",
-    NoSample = "too few fresh samples with a plausible measured position",
-    TooFar = "desired position too far from the measured one",
-    StillRamping = "torque still ramps to zero",
-    Stage = "the board's own motor stage accepts no command",
-    Encoder = "the board's own encoder gives no position",
+    Restarted = "the firmware restarted itself";
+    NoSample = "too few fresh samples with a plausible measured position";
+    TooFar = "desired position too far from the measured one";
+    StillRamping = "torque still ramps to zero";
+    Stage = "the board's own motor stage accepts no command";
+    Encoder = "the board's own encoder gives no position";
     /// (Limit: [`MEASUREMENT_TIMEOUT_US`](super::MEASUREMENT_TIMEOUT_US).)
-    MeasurementTimeout = "no plausible measurement in time",
+    MeasurementTimeout = "no plausible measurement in time";
     /// (Limit: [`ARM_DISTANCE`](super::ARM_DISTANCE).)
-    FollowingError = "measured position too far from the desired one",
-    GravityLost = "no sound rigid-body share for a joint",
-    Image = "program in flash damaged",
+    FollowingError = "measured position too far from the desired one";
+    GravityLost = "no sound rigid-body share for a joint";
+    Image = "program in flash damaged";
 }
 
 impl SafetyReason {
