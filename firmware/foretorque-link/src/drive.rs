@@ -70,8 +70,10 @@ where
         let tau_nm = wanted.copied().unwrap_or(0.0);
         let done = if session.torque_enabled() {
             self.put_out(tau_nm)
+        } else if self.stage.is_enabled() {
+            self.stage.disable()
         } else {
-            self.end()
+            Ok(())
         };
         self.report(done, session);
     }
@@ -90,13 +92,6 @@ where
         Ok(())
     }
 
-    fn end(&mut self) -> Result<(), StageError> {
-        if self.stage.is_enabled() {
-            self.stage.disable()?;
-        }
-        Ok(())
-    }
-
     fn report<A: Arm<N, P>, const N: usize, const P: usize, C: Clock>(
         &mut self,
         done: Result<(), StageError>,
@@ -109,7 +104,6 @@ where
     }
 }
 
-/// Reason that the host receives.
 fn reason(error: StageError) -> SafetyReason {
     match error {
         StageError::Fault | StageError::FaultInput => SafetyReason::Drive,

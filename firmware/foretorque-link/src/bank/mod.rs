@@ -119,7 +119,10 @@ impl fmt::Display for ColumnId {
 pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> Vec<ColumnId, MAX_COLUMNS> {
     let mut columns = Vec::new();
     // The capacity suffices for every arm.
-    let mut push = |kind, joint| _ = columns.push(id(kind, joint));
+    let mut push = |kind, joint: usize| {
+        let joint = joint as u8;
+        _ = columns.push(ColumnId { kind, joint });
+    };
     let links = A::columns();
     for (joint, link) in links.iter().enumerate() {
         for (kind, there) in (0..).map(ColumnKind).zip(link.inertial) {
@@ -137,13 +140,6 @@ pub fn columns<A: Arm<N, P>, const N: usize, const P: usize>() -> Vec<ColumnId, 
         }
     }
     columns
-}
-
-const fn id(kind: ColumnKind, joint: usize) -> ColumnId {
-    ColumnId {
-        kind,
-        joint: joint as u8,
-    }
 }
 
 /// One linear parameter.

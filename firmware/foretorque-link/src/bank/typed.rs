@@ -261,7 +261,6 @@ pub(crate) fn slots<A: Arm<N, P>, const N: usize, const P: usize>(
     rigid.chain(linear.friction.as_flattened())
 }
 
-/// Network shape of this firmware.
 fn shape<const N: usize>() -> NetworkShape {
     NetworkShape {
         activation: ActivationKind::Relu,
@@ -358,7 +357,6 @@ fn fraction(number: u32) -> f32 {
     ((mixed ^ mixed >> 13) >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// Configuration of ticks of `period_s` within `bounds`.
 pub(crate) fn config<A: Arm<N, P>, const N: usize, const P: usize>(
     bounds: &[JointBounds],
     period_s: f32,

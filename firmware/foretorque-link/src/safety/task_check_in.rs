@@ -37,7 +37,7 @@ impl Task {
 /// assert!(tasks.complete());
 /// assert!(!tasks.complete(), "every task has to check in anew");
 /// ```
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct TaskCheckIn {
     present: AtomicU32,
 }
@@ -62,12 +62,6 @@ impl TaskCheckIn {
         self.present
             .compare_exchange(Self::ALL, 0, Ordering::Relaxed, Ordering::Relaxed)
             .is_ok()
-    }
-}
-
-impl Default for TaskCheckIn {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

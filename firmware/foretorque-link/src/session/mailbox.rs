@@ -7,14 +7,6 @@ use foretorque::arm::Arm;
 use foretorque::learning::{Exchange, Learner, LearningSample, ParameterSet, StartDeviations};
 use heapless::spsc::Queue;
 
-/// Period, and set with its deviations, from which the learner restarts.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Restart<const N: usize, const P: usize> {
-    period_s: f32,
-    set: ParameterSet<N, P>,
-    start: StartDeviations<N, P>,
-}
-
 /// Everything that the tick shares with tasks of lower priority; on a board the one locked resource. Empty by default.
 ///
 /// Every lock is a copy at most, but the first after a restart was asked for: the learner starts over in it. No torque flows
@@ -50,7 +42,8 @@ pub struct LearnerMailbox<const N: usize, const P: usize> {
     samples: Queue<LearningSample<N>, 16>,
     /// Sets on their way between tick and learner.
     pub(crate) exchange: Exchange<N, P>,
-    restart: Option<Restart<N, P>>,
+    /// Period, s, set and deviations from which the learner restarts.
+    restart: Option<(f32, ParameterSet<N, P>, StartDeviations<N, P>)>,
     /// The reply of a tick waits for its learning step.
     pub(super) held: bool,
     pub(super) samples_lost: u32,
@@ -76,10 +69,10 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     /// Restarts the learner as asked. A function of its own: its stack is not that of a learning step.
     #[inline(never)]
     fn restart_learner<A: Arm<N, P>>(&mut self, learner: &mut Learner<A, N, P>) {
-        if let Some(restart) = self.restart.take() {
+        if let Some((period_s, set, start)) = self.restart.take() {
             // The learner accepts every period that the session accepts. If it refused one, it would learn nothing: the
             // samples that follow do not belong to its set.
-            let _ = learner.restart_for_arm(restart.period_s, &restart.set, &restart.start);
+            let _ = learner.restart_for_arm(period_s, &set, &start);
         }
     }
 
@@ -131,11 +124,7 @@ impl<const N: usize, const P: usize> LearnerMailbox<N, P> {
     ) {
         while self.samples.dequeue().is_some() {}
         self.exchange.clear();
-        self.restart = Some(Restart {
-            period_s,
-            set: *set,
-            start,
-        });
+        self.restart = Some((period_s, *set, start));
     }
 }
 
