@@ -31,7 +31,6 @@ pub struct JointCounters {
     pub longest_gap: u16,
 }
 
-/// Knowledge of one scale of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum ScaleCheck {
     /// The protocol has no question for it.
@@ -41,7 +40,6 @@ enum ScaleCheck {
     Different(f32),
 }
 
-/// State of one joint's drive as the loop has it.
 pub(super) struct JointLink {
     pub(super) joint: BusJoint,
     pub(super) carry: Carry,

@@ -190,7 +190,6 @@ fn from_centred(code: u16, scale: f32, steps: u16) -> f32 {
     f32::from(code) * (2.0 * scale) / f32::from(steps) - scale
 }
 
-/// Eight bytes of two halves.
 pub(super) fn join([a0, a1, a2, a3]: [u8; 4], [b0, b1, b2, b3]: [u8; 4]) -> [u8; 8] {
     [a0, a1, a2, a3, b0, b1, b2, b3]
 }

@@ -240,7 +240,6 @@ const FAULTED: u8 = 1;
 const POSITION: u8 = 10;
 const TIMED_OUT: u8 = 11;
 
-/// Bytes of a frame while it is put together.
 type Bytes = heapless::Vec<u8, { Frame::CAPACITY }>;
 
 fn put(bytes: &mut Bytes, more: &[u8]) {

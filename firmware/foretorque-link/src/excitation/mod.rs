@@ -319,7 +319,6 @@ fn inside<const N: usize>(
 /// Speed that aborts, parts of the joint's limit.
 const OVERSPEED: f32 = 1.2;
 
-/// Supervision of the measured and desired motion while an excitation plays.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Supervision<const N: usize> {
     /// Ticks in a row without a measurement.

@@ -11,7 +11,6 @@ use foretorque::joint::{JointMotion, JointSample, JointVector};
 /// Largest desired speed at which the player takes over from the host, rad/s.
 const HANDOVER_RAD_S: f32 = 0.02;
 
-/// State of the player from tick to tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PlayerState<const N: usize> {
     excitation: ExcitationState,

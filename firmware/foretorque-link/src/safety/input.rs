@@ -9,7 +9,6 @@ pub const ARM_DISTANCE: f32 = 0.2;
 /// Weight of an implausible sample; a plausible one takes back 1. So one in five is too many.
 const IMPLAUSIBLE_WEIGHT: u32 = 4;
 
-/// Plausibility and age of the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct InputState<const N: usize> {
     /// Fault of the input of this tick.

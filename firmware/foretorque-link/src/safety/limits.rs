@@ -165,12 +165,10 @@ impl<const N: usize> ThermalDerating<N> {
         }
     }
 
-    /// A motor is at [`HOT_C`] or above.
     pub(super) fn hot(&self) -> bool {
         self.any(HOT_C)
     }
 
-    /// A motor is above [`WARM_C`].
     pub(super) fn warm(&self) -> bool {
         self.any(WARM_C + 1)
     }

@@ -171,7 +171,6 @@ impl<F: NorFlash> Store<F> {
             .map_err(|_| StoreError::Flash)
     }
 
-    /// True if the slot reads back as written.
     fn is_kept(&mut self, slot: u32, header: Header, bank: &[u8]) -> Result<bool, StoreError> {
         let mut kept = self.piece(slot * SLOT_BYTES)? == header.to_bytes();
         for (place, piece) in places(slot, 1).zip(bank.chunks(PIECE)) {
@@ -249,7 +248,6 @@ impl<F: NorFlash> Store<F> {
         Ok(StoreError::Empty)
     }
 
-    /// True if every byte of the slot is blank.
     fn is_blank(&mut self, slot: u32) -> Result<bool, StoreError> {
         for place in places(slot, 0) {
             if self.piece(place)? != [0xFF; PIECE] {

@@ -21,7 +21,6 @@ impl SampleFlags {
     /// The reply waits for the learning step of this tick: for a host without a clock, which sends the next sample as soon
     /// as it has the reply.
     pub const AFTER_LEARNING: Self = Self(1 << 2);
-    /// Shift of the [`period`](Self::period) in the highest bits.
     const PERIOD_SHIFT: u32 = 3;
     /// Modulus of the period numbers.
     pub const PERIODS: u8 = 1 << (u8::BITS - Self::PERIOD_SHIFT);
@@ -36,7 +35,6 @@ impl SampleFlags {
         self.0 >> Self::PERIOD_SHIFT
     }
 
-    /// Union with the flags of `other`.
     const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
@@ -340,7 +338,6 @@ fn encoded<T: Copy + Default, const N: usize>(values: &[f32], encode: impl Fn(f3
     codes
 }
 
-/// Values of a vector.
 #[inline(never)]
 fn decoded<T: Copy, const N: usize>(codes: &[T; N], decode: impl Fn(T) -> f32) -> JointVector<N> {
     let mut values = JointVector::<N>::zeros();

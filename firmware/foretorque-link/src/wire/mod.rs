@@ -53,7 +53,6 @@ pub(crate) mod array {
     use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
     use serde::ser::{Serialize, SerializeTuple as _, Serializer};
 
-    /// For `#[serde(with = …)]`.
     pub(crate) fn serialize<S: Serializer, T: Serialize, const N: usize>(
         values: &[T; N],
         serializer: S,
@@ -65,7 +64,6 @@ pub(crate) mod array {
         tuple.end()
     }
 
-    /// For `#[serde(with = …)]`.
     pub(crate) fn deserialize<'de, D, T, const N: usize>(
         deserializer: D,
     ) -> Result<[T; N], D::Error>
