@@ -106,19 +106,6 @@ fn heat_lowers_the_limit_and_ends_the_torque() {
     }
 }
 
-#[test]
-fn a_kept_fault_survives_a_restart_of_the_tick() {
-    let mut safety = Safety::new(limits(), SafetyReason::Restarted);
-    ticks(&mut safety, 10, Some(sample()));
-    assert_eq!(safety.arm(), Err(SafetyReason::Restarted));
-    safety.restart(limits());
-    assert_eq!(safety.latched(), SafetyReason::Restarted);
-    assert_eq!(safety.clear(), Ok(()));
-    let mut armed = armed();
-    armed.restart(limits());
-    assert!(!armed.enabled(), "a restart does not arm");
-}
-
 /// Implausibility counts samples, whatever the time between them.
 #[test]
 fn m2_one_implausible_sample_in_three_latches_with_and_without_a_timer() {
