@@ -36,13 +36,6 @@ fn read(table: &str) -> Vec<String> {
     text.lines().map(String::from).collect()
 }
 
-fn bytes(hex: &str) -> Vec<u8> {
-    (0..hex.len())
-        .step_by(2)
-        .map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap())
-        .collect()
-}
-
 fn frame(id: u32, data: &[u8]) -> Frame {
     Frame::new(id, id > Frame::STANDARD_MAX, data)
 }
@@ -78,8 +71,7 @@ fn commands_agree_with_the_clients() {
             crc.update(&id.to_le_bytes());
             crc.update(&data);
             if let Some(kept) = lines.get(row + 1).filter(|_| row < 200) {
-                let hex: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
-                let line = format!("{id:x},{hex}");
+                let line = format!("{id:x},{}", hex::encode(&data));
                 assert_eq!(*kept, line, "{table}, row {row}: {value:?}");
             }
             let [p, v, torque, kp, kd] = value.map(|value| value as f32);
@@ -136,7 +128,7 @@ fn replies_agree_with_the_clients() {
         for line in read(client.table).iter().skip(201) {
             let fields: Vec<&str> = line.split(',').collect();
             let id = u32::from_str_radix(fields[0], 16).unwrap();
-            let event = profile.decode(&frame(id, &bytes(fields[1])));
+            let event = profile.decode(&frame(id, &hex::decode(fields[1]).unwrap()));
             let Some(Event::Reply(reply)) = event else {
                 panic!("{}: {line}: {event:?}", client.table)
             };
