@@ -86,7 +86,6 @@ fn every_test_that_a_page_names_is_there() {
             let package = words.next().unwrap_or_default();
             let name = words.find(|word| *word != "--test").unwrap_or_default();
             let directory = match package {
-                "foretorque-link" => "firmware/foretorque-link/tests",
                 "foretorque-capi" => "firmware/capi/tests",
                 "foretorque-workbench" => "host-sim/workbench/tests",
                 "host-sim" => "host-sim/tests",
