@@ -6,6 +6,7 @@
 use super::refused;
 use crate::Refusal;
 use crate::robot::Robot;
+use nalgebra::{SMatrix, SVector};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -186,64 +187,47 @@ impl JointSeries {
 pub(super) const VARIABLES: usize = 2 * ORDER - 1;
 const FREE: usize = ORDER - 1;
 
-/// Orthonormal bases of all a with Σ a_l = 0 and of all b with Σ l b_l = 0.
+/// Orthonormal bases of all a with Σ a_l = 0 and of all b with Σ l b_l = 0, a vector a column.
 #[derive(Clone, Debug)]
 pub(super) struct Bases {
-    a: [[f64; ORDER]; FREE],
-    b: [[f64; ORDER]; FREE],
+    a: SMatrix<f64, ORDER, FREE>,
+    b: SMatrix<f64, ORDER, FREE>,
 }
 
 impl Bases {
     pub(super) fn new() -> Self {
         Self {
-            a: complement([1.0; ORDER]),
-            b: complement(std::array::from_fn(|l| (l + 1) as f64)),
+            a: complement(SVector::repeat(1.0)),
+            b: complement(SVector::from_fn(|l, _| (l + 1) as f64)),
         }
     }
 
     /// The series of one joint's variables: offset, 4 of a, 4 of b.
     pub(super) fn series(&self, variables: &[f64]) -> JointSeries {
-        let combine = |basis: &[[f64; ORDER]; FREE], shares: &[f64]| {
-            std::array::from_fn(|l| basis.iter().zip(shares).map(|(v, s)| v[l] * s).sum())
-        };
+        let (a, b) = variables[1..VARIABLES].split_at(FREE);
         JointSeries {
             q0_rad: variables[0],
-            a_rad_s: combine(&self.a, &variables[1..=FREE]),
-            b_rad_s: combine(&self.b, &variables[1 + FREE..VARIABLES]),
+            a_rad_s: (self.a * SVector::<f64, FREE>::from_column_slice(a)).into(),
+            b_rad_s: (self.b * SVector::<f64, FREE>::from_column_slice(b)).into(),
         }
     }
 
     /// The variables of a series; what of it does not rest at the ends is lost.
-    pub(super) fn variables(&self, series: &JointSeries) -> [f64; VARIABLES] {
-        let dot = |v: &[f64; ORDER], c: &[f64; ORDER]| v.iter().zip(c).map(|(x, y)| x * y).sum();
-        std::array::from_fn(|i| match i {
-            0 => series.q0_rad,
-            i if i <= FREE => dot(&self.a[i - 1], &series.a_rad_s),
-            i => dot(&self.b[i - 1 - FREE], &series.b_rad_s),
-        })
+    pub(super) fn variables(&self, series: &JointSeries) -> Vec<f64> {
+        let a = self.a.tr_mul(&SVector::<f64, ORDER>::from(series.a_rad_s));
+        let b = self.b.tr_mul(&SVector::<f64, ORDER>::from(series.b_rad_s));
+        [&[series.q0_rad], a.as_slice(), b.as_slice()].concat()
     }
 }
 
-/// An orthonormal basis of everything orthogonal to `normal` (Gram–Schmidt on the unit vectors).
-fn complement(normal: [f64; ORDER]) -> [[f64; ORDER]; FREE] {
-    let mut found = vec![unit(normal)];
-    for axis in 0..FREE {
-        let mut rest = [0.0; ORDER];
-        rest[axis] = 1.0;
-        for direction in &found {
-            let share: f64 = direction.iter().zip(&rest).map(|(x, y)| x * y).sum();
-            for (r, d) in rest.iter_mut().zip(direction) {
-                *r -= share * d;
-            }
-        }
-        found.push(unit(rest));
-    }
-    std::array::from_fn(|i| found[i + 1])
-}
-
-fn unit(v: [f64; ORDER]) -> [f64; ORDER] {
-    let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    v.map(|x| x / length)
+/// An orthonormal basis of everything orthogonal to `normal`, a vector a column.
+fn complement(normal: SVector<f64, ORDER>) -> SMatrix<f64, ORDER, FREE> {
+    let mut basis = Vec::new();
+    SVector::<f64, ORDER>::orthonormal_subspace_basis(&[normal], |vector| {
+        basis.push(*vector);
+        true
+    });
+    SMatrix::from_columns(&basis)
 }
 
 #[cfg(test)]
