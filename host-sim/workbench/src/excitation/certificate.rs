@@ -1,6 +1,6 @@
 //! Certificate of an excitation: every limit with its worst value, on a fine grid with bounds between its points.
 
-use super::information::{Criterion, NOISE, SAMPLES, condition_number};
+use super::information::{Criterion, NOISE, SAMPLES, SIGN_WIDTH_RAD_S, condition_number};
 use super::objective::{Objective, SearchConfig};
 use super::rates::{MotionBounds, TorqueRates};
 use super::rows::{Frames, Rows};
@@ -173,7 +173,7 @@ pub(super) fn certify(
     let (condition_dh, worth, errors) = figures.ok_or_else(unseen)?;
     let of_limits = errors.iter().zip(&robot.joints);
     let of_limits = of_limits.map(|(error, joint)| error / joint.limits.torque);
-    let condition_board = condition_number(&board, &sparse);
+    let condition_board = condition_number(&board, &board.transposed(&sparse, SIGN_WIDTH_RAD_S));
     let frames = match robot.joints.iter().all(|joint| joint.dh_frame.is_some()) {
         true => "standard DH frames",
         false => "joint frames",

@@ -188,7 +188,7 @@ impl Experiment {
     /// torque error of every joint on task motion, N·m; rows of joints at rest count as unusable.
     pub(super) fn figures(&self, rows: &Rows, states: &[Motion]) -> Option<(f64, Worth, Vec<f64>)> {
         let mut transposed = rows.transposed(states, SIGN_WIDTH_RAD_S);
-        let condition = condition(&transposed, rows.link_columns.len());
+        let condition = condition_number(rows, &transposed);
         for (k, state) in states.iter().enumerate() {
             for (j, qd) in state.qd.iter().enumerate() {
                 if qd.abs() < MOVING_RAD_S {
@@ -213,13 +213,8 @@ fn task(robot: &Robot, seed: u64) -> Vec<Motion> {
     }, else Vec::new())
 }
 
-/// Condition number of the raw base regressor of the links, in the frames of `rows`.
-pub(super) fn condition_number(rows: &Rows, states: &[Motion]) -> f64 {
-    let transposed = rows.transposed(states, SIGN_WIDTH_RAD_S);
-    condition(&transposed, rows.link_columns.len())
-}
-
-fn condition(transposed: &DMatrix<f64>, columns: usize) -> f64 {
-    let links = transposed.rows(0, columns);
+/// Condition number of the raw base regressor of the links, of rows as [`Rows::transposed`] gives them.
+pub(super) fn condition_number(rows: &Rows, transposed: &DMatrix<f64>) -> f64 {
+    let links = transposed.rows(0, rows.link_columns.len());
     condition_of(&(links * links.transpose()))
 }

@@ -90,6 +90,12 @@ impl Excitation {
         motion
     }
 
+    /// Motions at `count` instants of the first period.
+    fn instants(&self, count: usize) -> Vec<Motion> {
+        let t_s = |k: usize| self.period_s * k as f64 / count as f64;
+        (0..count).map(|k| self.motion(t_s(k))).collect()
+    }
+
     /// See [`motion`](Self::motion). Panics for another number of joints.
     pub fn at<const N: usize>(&self, t_s: f64) -> State<N> {
         self.motion(t_s).into()
@@ -198,11 +204,8 @@ impl Excitation {
 
     /// Condition number of the rigid base regressor, rotors included, stacked over 100 instants of the period.
     fn condition_number(&self, rows: &Rows) -> f64 {
-        const INSTANTS: usize = 100;
         let rigid = rows.count() - 2 * rows.joints();
-        let instants =
-            (0..INSTANTS).map(|k| self.motion(self.period_s * k as f64 / INSTANTS as f64));
-        let stacked = rows.stacked(&instants.collect::<Vec<_>>());
+        let stacked = rows.stacked(&self.instants(100));
         let stacked = stacked.columns(0, rigid).into_owned();
         condition_of(&stacked.tr_mul(&stacked))
     }

@@ -61,7 +61,6 @@ impl Default for SearchConfig {
     }
 }
 
-/// Criterion and limits of one robot.
 #[derive(Clone, Debug)]
 pub(super) struct Objective {
     pub(super) rows: Rows,
@@ -77,7 +76,6 @@ pub(super) struct Objective {
     pub(super) parameters: DVector<f64>,
     pub(super) criterion: Criterion,
     pub(super) ln_condition_limit: f64,
-    /// q, qd, qdd of each variable at each instant.
     pub(super) basis: Vec<[[f64; 3]; VARIABLES]>,
 }
 
@@ -94,20 +92,6 @@ pub(super) fn basis(bases: &Bases, period_s: f64) -> Vec<[[f64; 3]; VARIABLES]> 
     instants.collect()
 }
 
-/// Weight of the penalties, and distance on top of what each pair requires, m.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Penalties {
-    pub(super) weight: f64,
-    pub(super) extra_m: f64,
-}
-
-impl Penalties {
-    pub(super) fn of(weight: f64) -> Self {
-        let extra_m = 0.0;
-        Self { weight, extra_m }
-    }
-}
-
 impl Objective {
     fn state(&self, instant: usize, variables: &[f64]) -> Motion {
         let mut state = Motion::zeros(self.torque.len());
@@ -121,11 +105,11 @@ impl Objective {
         state
     }
 
-    /// Value at `variables` (9 a joint), and its gradient where `gradient` is given.
+    /// Value at `variables` (9 a joint) with this weight of the penalties, and its gradient where `gradient` is given.
     pub(super) fn value(
         &self,
         variables: &[f64],
-        penalties: Penalties,
+        weight: f64,
         gradient: Option<&mut [f64]>,
     ) -> f64 {
         let (width, joints) = (self.rows.count(), self.rows.joints());
@@ -133,7 +117,7 @@ impl Objective {
         let transposed = self.rows.transposed(&states, SIGN_WIDTH_RAD_S);
         let with_gradient = gradient.is_some();
         let mut adjoint = DMatrix::zeros(width, if with_gradient { INSTANTS * joints } else { 0 });
-        let shares = |worth: &Worth| self.shares(worth, penalties.weight).1;
+        let shares = |worth: &Worth| self.shares(worth, weight).1;
         let worth =
             self.experiment
                 .worth(&transposed, shares, with_gradient.then_some(&mut adjoint));
@@ -143,15 +127,15 @@ impl Objective {
             }
             return UNSEEN;
         };
-        let mut value = self.shares(&worth, penalties.weight).0;
+        let mut value = self.shares(&worth, weight).0;
         // Derivatives of the penalties with respect to q, qd, qdd at every instant.
         let mut slopes = vec![PerJoint::repeat(joints, [0.0; 3]); INSTANTS];
-        let each = penalties.weight / INSTANTS as f64;
+        let each = weight / INSTANTS as f64;
         let mut distances = vec![0.0; self.clearances.count()];
         for (k, state) in states.iter().enumerate() {
             value += each * self.joint_penalty(state, each, &mut slopes[k]);
             value += each
-                * self.clearance_penalty(state, penalties.extra_m, &mut distances, |j, slope| {
+                * self.clearance_penalty(state, &mut distances, |j, slope| {
                     slopes[k][j][0] += each * slope;
                 });
             for j in 0..joints {
@@ -230,7 +214,6 @@ impl Objective {
     fn clearance_penalty(
         &self,
         state: &Motion,
-        extra_m: f64,
         distances: &mut [f64],
         mut slope: impl FnMut(usize, f64),
     ) -> f64 {
@@ -238,7 +221,7 @@ impl Objective {
         let mut penalty = |q: &[f64]| -> f64 {
             self.clearances.write(q, distances);
             let pairs = distances.iter().zip(&self.required_m);
-            let missing = pairs.map(|(d, required)| required + extra_m - d);
+            let missing = pairs.map(|(d, required)| required - d);
             missing
                 .map(|m| (m / CLEARANCE_SCALE_M).max(0.0).powi(2))
                 .sum()
@@ -258,17 +241,17 @@ impl Objective {
 /// Pairs that the quasi-Newton method keeps.
 const MEMORY: usize = 20;
 
-/// The best point seen in at most `iterations` from `variables` on.
+/// The best point seen in at most `iterations` from `variables` on, with this weight of the penalties.
 pub(super) fn descend(
     objective: &Objective,
-    penalties: Penalties,
+    weight: f64,
     variables: Vec<f64>,
     iterations: usize,
 ) -> Vec<f64> {
     let problem = Problem {
         objective,
-        penalties,
-        last: RefCell::new(None),
+        weight,
+        last: RefCell::default(),
         best: RefCell::new((f64::INFINITY, variables.clone())),
     };
     let solver = LBFGS::new(MoreThuenteLineSearch::new(), MEMORY);
@@ -280,35 +263,30 @@ pub(super) fn descend(
     problem.best.into_inner().1
 }
 
-/// Variables, value and gradient of one evaluation.
-type Evaluation = (Vec<f64>, f64, Vec<f64>);
-
 /// The objective in the form of the solver, which requests value and gradient in turn: one evaluation gives both.
 struct Problem<'a> {
     objective: &'a Objective,
-    penalties: Penalties,
-    last: RefCell<Option<Evaluation>>,
+    weight: f64,
+    /// Variables, value and gradient of the last evaluation.
+    last: RefCell<(Vec<f64>, f64, Vec<f64>)>,
     best: RefCell<(f64, Vec<f64>)>,
 }
 
 impl Problem<'_> {
-    fn evaluated<T>(&self, variables: &[f64], pick: impl Fn(f64, &[f64]) -> T) -> T {
-        if let Some((known, value, gradient)) = &*self.last.borrow()
-            && known == variables
-        {
-            return pick(*value, gradient);
+    fn evaluated(&self, variables: &[f64]) -> (f64, Vec<f64>) {
+        let mut last = self.last.borrow_mut();
+        if last.0 != variables {
+            let mut gradient = vec![0.0; variables.len()];
+            let value = self
+                .objective
+                .value(variables, self.weight, Some(&mut gradient));
+            let mut best = self.best.borrow_mut();
+            if value < best.0 {
+                *best = (value, variables.to_vec());
+            }
+            *last = (variables.to_vec(), value, gradient);
         }
-        let mut gradient = vec![0.0; variables.len()];
-        let value = self
-            .objective
-            .value(variables, self.penalties, Some(&mut gradient));
-        let picked = pick(value, &gradient);
-        let mut best = self.best.borrow_mut();
-        if value < best.0 {
-            *best = (value, variables.to_vec());
-        }
-        *self.last.borrow_mut() = Some((variables.to_vec(), value, gradient));
-        picked
+        (last.1, last.2.clone())
     }
 }
 
@@ -317,7 +295,7 @@ impl CostFunction for &Problem<'_> {
     type Output = f64;
 
     fn cost(&self, variables: &Vec<f64>) -> Result<f64, Error> {
-        Ok(self.evaluated(variables, |value, _| value))
+        Ok(self.evaluated(variables).0)
     }
 }
 
@@ -326,6 +304,6 @@ impl Gradient for &Problem<'_> {
     type Gradient = Vec<f64>;
 
     fn gradient(&self, variables: &Vec<f64>) -> Result<Vec<f64>, Error> {
-        Ok(self.evaluated(variables, |_, gradient| gradient.to_vec()))
+        Ok(self.evaluated(variables).1)
     }
 }

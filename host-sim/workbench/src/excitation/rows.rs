@@ -75,7 +75,6 @@ impl Rows {
         self.placements.len()
     }
 
-    /// All columns.
     pub(super) fn count(&self) -> usize {
         self.link_columns.len() + self.rotor_columns.len() + 2 * self.joints()
     }

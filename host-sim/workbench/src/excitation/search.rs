@@ -3,7 +3,7 @@
 use super::certificate::{Certificate, certify};
 use super::clearance::Clearances;
 use super::information::{Criterion, Experiment, SIGN_WIDTH_RAD_S as SIGN_WIDTH};
-use super::objective::{INSTANTS, Objective, Penalties, SearchConfig, basis, descend};
+use super::objective::{INSTANTS, Objective, SearchConfig, basis, descend};
 use super::rows::{Frames, Rows};
 use super::series::{Bases, Extremes, JointSeries, VARIABLES};
 use super::{Excitation, refused, unseen};
@@ -171,11 +171,10 @@ impl<'a> Search<'a> {
 
     /// The best of a pool of random candidates, each drawn from its own stream of the seed.
     fn starts(&self) -> Vec<Vec<f64>> {
-        let penalties = Penalties::of(COARSE_WEIGHTS[0]);
         let mut pool: Vec<(f64, Vec<f64>)> = (0..self.config.starts.max(1) * POOL)
             .map(|stream| {
                 let variables = self.variables(&self.random_series(stream as u64));
-                let value = self.objective.value(&variables, penalties, None);
+                let value = self.objective.value(&variables, COARSE_WEIGHTS[0], None);
                 (value, variables)
             })
             .collect();
@@ -193,12 +192,7 @@ impl<'a> Search<'a> {
     /// Rounds with growing weights of the penalties.
     fn rounds(&self, weights: &[f64], iterations: usize, start: &[f64]) -> Vec<f64> {
         weights.iter().fold(start.to_vec(), |variables, weight| {
-            descend(
-                &self.objective,
-                Penalties::of(*weight),
-                variables,
-                iterations,
-            )
+            descend(&self.objective, *weight, variables, iterations)
         })
     }
 
@@ -206,7 +200,7 @@ impl<'a> Search<'a> {
     fn coarse_search(&self, start: &[f64]) -> (f64, Vec<f64>) {
         let iterations = self.config.iterations.div_ceil(COARSE_DIVISOR);
         let variables = self.rounds(&COARSE_WEIGHTS, iterations, start);
-        let last = Penalties::of(COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1]);
+        let last = COARSE_WEIGHTS[COARSE_WEIGHTS.len() - 1];
         (self.objective.value(&variables, last, None), variables)
     }
 
@@ -219,13 +213,13 @@ impl<'a> Search<'a> {
             let Some(certificate) = excitation.certificate.as_ref().filter(|c| !c.holds) else {
                 break;
             };
-            let penalties = Penalties {
-                weight: FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32),
-                extra_m: 0.001 * repair as f64,
-            };
+            let weight = FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32);
             let objective = objective.get_or_insert_with(|| self.objective.clone());
             tighten(&mut objective.torque, certificate);
-            variables = descend(objective, penalties, variables, self.config.iterations);
+            // More distance than is required, too.
+            let required_m = self.objective.required_m.iter();
+            objective.required_m = required_m.map(|m| m + 0.001 * repair as f64).collect();
+            variables = descend(objective, weight, variables, self.config.iterations);
             excitation = self.certified(self.fitted(&variables))?;
         }
         Ok(excitation)
@@ -330,23 +324,20 @@ impl<'a> Search<'a> {
 
     /// Largest torque of every joint, N·m, on the random series that comes nearest to keeping all torque limits.
     fn least_torques(&self) -> PerJoint<f64> {
-        let width = self.objective.rows.count();
-        let joints = self.objective.rows.joints();
-        let mut block = vec![0.0; joints * width];
+        let Objective {
+            rows, parameters, ..
+        } = &self.objective;
+        let joints = rows.joints();
         let mut best = (f64::INFINITY, PerJoint::repeat(joints, f64::INFINITY));
         for trial in 0..TRIALS {
             let (period_s, series) = (self.config.period_s, self.random_series(trial as u64));
             let excitation = Excitation::of(self.robot, period_s, self.config.seed, series);
-            let mut most = PerJoint::repeat(joints, 0.0_f64);
-            for k in 0..TRIAL_INSTANTS {
-                let state = excitation.motion(period_s * k as f64 / TRIAL_INSTANTS as f64);
-                self.objective.rows.write(&state, SIGN_WIDTH, &mut block);
-                for (most, row) in most.iter_mut().zip(block.chunks_exact(width)) {
-                    let parameters = self.objective.parameters.iter();
-                    let tau: f64 = row.iter().zip(parameters).map(|(y, x)| y * x).sum();
-                    *most = most.max(tau.abs());
-                }
-            }
+            let instants = excitation.instants(TRIAL_INSTANTS);
+            let torques = rows.transposed(&instants, SIGN_WIDTH).tr_mul(parameters);
+            let most = PerJoint::from_fn(joints, |j| {
+                let own = torques.iter().skip(j).step_by(joints);
+                own.fold(0.0_f64, |most, tau| most.max(tau.abs()))
+            });
             let shares = most.iter().zip(self.objective.torque.iter());
             let share = shares.fold(0.0_f64, |worst, (tau, limit)| worst.max(tau / limit));
             if share < best.0 {
@@ -394,17 +385,16 @@ mod tests {
             let start = search.starts().remove(0);
             // Beyond the limits, so that every penalty takes part.
             let start: Vec<f64> = start.iter().map(|x| 1.3 * x).collect();
-            let penalties = Penalties::of(10.0);
             let mut gradient = vec![0.0; start.len()];
             let objective = &search.objective;
-            objective.value(&start, penalties, Some(&mut gradient));
+            objective.value(&start, 10.0, Some(&mut gradient));
             let size = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
             for (v, found) in gradient.iter().enumerate() {
                 let h = 1e-5;
                 let at = |step: f64| {
                     let mut moved = start.clone();
                     moved[v] += step;
-                    objective.value(&moved, penalties, None)
+                    objective.value(&moved, 10.0, None)
                 };
                 let expected = (at(h) - at(-h)) / (2.0 * h);
                 let close = (found - expected).abs() < 1e-4 * size;
