@@ -14,7 +14,6 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-/// Type of the messages that are read.
 const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
 /// Schema of the measurements that this program writes.
 const MEASURED: &str = "foretorque.measured";
@@ -96,7 +95,6 @@ fn is_of(names: &[String], state: &JointState) -> bool {
 
 /// Choice of one topic with joint states among several.
 pub(crate) struct Topics<'a> {
-    /// The topic that was named.
     pub(crate) named: Option<&'a str>,
     /// Likeness of the joints of a message to those of the arm; 0 is none.
     pub(crate) likeness: &'a dyn Fn(&[String]) -> usize,
@@ -161,7 +159,6 @@ fn refused(path: &Path, problem: impl Into<String>) -> TableError {
 
 /// Messages of a topic that is being read.
 struct Begun {
-    /// The first ones.
     seen: Vec<JointState>,
     /// Place in `seen` of the one with the joints of the arm, else of the one with most joints.
     most: usize,
@@ -274,7 +271,6 @@ fn chosen(
 /// Messages on their way to the table.
 struct Sink {
     sender: SyncSender<Item>,
-    /// Messages so far.
     count: u64,
     /// Receipt of a first message that has no stamp, ns: in a bag without stamps it is zero of the time.
     origin_ns: i64,

@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Rows {
     pub(crate) path: PathBuf,
     source: Source,
-    /// Names of the columns.
     pub(crate) header: Vec<String>,
     /// Line of the header, from 1.
     header_line: u64,
@@ -231,12 +230,10 @@ impl Rows {
         found.map_or(Ok(()), |_| Err(self.header_error(many)))
     }
 
-    /// The problem in the header.
     pub(crate) fn header_error(&self, problem: String) -> TableError {
         TableError::at(&self.path, self.header_line, problem)
     }
 
-    /// The problem in this row.
     pub(crate) fn row_error(&self, problem: String) -> TableError {
         TableError::at(&self.path, self.line(), problem)
     }
