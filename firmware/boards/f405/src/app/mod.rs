@@ -18,7 +18,7 @@
 
 mod start;
 
-pub use start::{Started, Statics, start};
+pub use start::{Statics, start};
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -38,9 +38,7 @@ use crate::log;
 use crate::tick_timer::{self, TickTimer};
 use crate::watchdog::{self, TASKS, Watchdog};
 
-/// Interrupt of the tick's task.
 pub(crate) const TICK: Interrupt = Interrupt::EXTI1;
-/// Interrupt of the learner's task.
 const LEARN: Interrupt = Interrupt::EXTI2;
 
 /// Ticks run, for the log.
@@ -269,14 +267,14 @@ macro_rules! image {
 
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
-                let started = start::<$board>(cx.device, cx.core, cx.local.statics);
+                let (mailboxes, wire, tick, learner, idle) =
+                    start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
-                    wire: started.wire,
-                    tick: started.tick,
-                    learner: started.learner,
-                    idle: started.idle,
+                    wire,
+                    tick,
+                    learner,
+                    idle,
                 };
-                let mailboxes = started.mailboxes;
                 (Shared { mailboxes }, local)
             }
 
