@@ -42,7 +42,6 @@ pub fn use_every_core() {
     }
 }
 
-/// The set of one core.
 pub(crate) fn only(core: usize) -> io::Result<CpuSet> {
     let mut set = CpuSet::new();
     set.set(core)?;

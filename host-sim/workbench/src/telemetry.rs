@@ -15,7 +15,6 @@ pub struct Selection {
     pub every: u16,
 }
 
-/// Columns of a field.
 enum Columns {
     /// One for each joint, in this unit.
     Joints(&'static str),
@@ -77,7 +76,6 @@ impl Selection {
         self.fields & field.bit() != 0
     }
 
-    /// Header of the fields.
     fn columns(&self, joints: usize) -> Vec<String> {
         let chosen = FIELDS.iter().filter(|(_, field, _)| self.has(*field));
         let columns = chosen.map(|(name, _, columns)| match columns {
@@ -114,7 +112,6 @@ pub struct Recorder {
     table: TableWriter,
     /// The record whose frames are still coming: tick, fields, numbers.
     open: Option<(u32, u16, Vec<f64>)>,
-    /// Records written.
     whole: u64,
     /// Records that came with a part missing, and were left out.
     torn: u64,

@@ -17,7 +17,6 @@ use foretorque_workbench::board::qemu::{Image, QemuOptions};
 use std::fs;
 use std::path::Path;
 
-/// State of the drive in the trace.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Stage {
     enabled: bool,
@@ -73,7 +72,6 @@ fn equipped(name: &str, angle: u16, encoder_ends: u16, drive_ends: u16) -> Trial
     start(name, &patches)
 }
 
-/// Arms a board and lets its torque rise.
 fn arm(client: &mut Client<JOINTS>) {
     for _ in 0..5 {
         client.sample(&still()).expect("a torque");

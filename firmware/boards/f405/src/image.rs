@@ -79,7 +79,6 @@ mod tests {
     use super::*;
     use foretorque_link::wire::ImageStatus::{Damaged, Sound, Unsealed};
 
-    /// Place of the seal in the program.
     const PLACE: usize = 300;
 
     fn write(flash: &mut [u8], seal: Seal) {

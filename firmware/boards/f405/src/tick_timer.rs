@@ -15,7 +15,6 @@ static DUE: AtomicBool = AtomicBool::new(false);
 /// Timer ticks that came while another one still waited.
 static MISSED: AtomicU32 = AtomicU32::new(0);
 
-/// The timer and its configuration.
 pub(crate) struct TickTimer {
     timer: SYST,
     /// Counts per microsecond: an eighth of the processor clock, with which 24 bits reach the longest period.

@@ -12,7 +12,6 @@ use crate::link::add;
 
 /// Who has answered since the watchdog was fed last.
 pub(crate) static TASKS: TaskCheckIn = TaskCheckIn::new();
-/// Times that it was fed.
 static FEEDS: AtomicU32 = AtomicU32::new(0);
 
 /// Keys of RM0090 21.4.1.

@@ -15,11 +15,9 @@ use std::time::{Duration, Instant};
 const EMULATOR: &str = "qemu-system-arm";
 /// Longest time to the board's first byte.
 const BOOT: Duration = Duration::from_secs(10);
-/// Where the write key is (memory.x).
+/// Addresses of memory.x: write key, drives of a board on a drive bus, store.
 const KEY_START: u32 = 0x080A_0000;
-/// Where the drives of a board on a drive bus are (memory.x).
 const WIRING_START: u32 = 0x0808_0000;
-/// Where the store begins (memory.x).
 const STORE_START: u32 = 0x080C_0000;
 /// Longest wait for the end of an emulator that has failed.
 const EXIT_WAIT: Duration = Duration::from_secs(2);
@@ -30,7 +28,6 @@ pub const TIMEOUT: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub struct Emulator {
     process: Guarded,
-    /// Bytes to the board.
     to_board: OwnedFd,
     /// Bytes from the board; `None` when the link is one socket for both directions.
     from_board: Option<OwnedFd>,

@@ -17,12 +17,9 @@ const TIMEOUT: Duration = Duration::from_millis(100);
 /// Longest line of a frame.
 const LINE_BYTES: usize = 256;
 
-/// Text form of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TextForm {
-    /// Serial line CAN.
     Slcan,
-    /// Text of the fdcanusb.
     Fdcanusb,
 }
 
@@ -68,7 +65,6 @@ impl TextForm {
         Ok(format!("C\rS{code}\rY{data}\rO\r"))
     }
 
-    /// A frame as a line.
     fn line(self, frame: &Frame) -> String {
         let hex = hex::encode_upper(frame.bytes());
         match self {

@@ -66,7 +66,6 @@ fn player(profile: &Profile, path: &Trajectory<6>, forward: bool) -> Player {
     BusPlayer::new(config, &parameters, network).expect("it fits the arm")
 }
 
-/// Switches the drives on and moves to the begin of the path.
 fn begin(player: &mut Player, path: &Trajectory<6>) {
     player.arm().expect("it arms");
     player.approach(&path.at(0.0).q).expect("it comes there");

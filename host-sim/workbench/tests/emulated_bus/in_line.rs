@@ -203,11 +203,8 @@ enum Fault {
     DrivesOff,
     /// The commanded position of a joint jumps by 1 rad.
     Jump,
-    /// A drive reports this state.
     Reports(DriveState),
-    /// A drive repeats one reply.
     StuckReply,
-    /// A drive replies with the identifier of another.
     WrongIdentifier,
     /// The frames of a foreign node fill the drives' side.
     Babble,

@@ -232,7 +232,6 @@ impl Drive for BusDrive {
     }
 }
 
-/// The wiring in the flash.
 fn wiring() -> Option<Wiring<JOINTS>> {
     const BYTES: usize = Wiring::<JOINTS>::BYTES;
     unsafe extern "C" {

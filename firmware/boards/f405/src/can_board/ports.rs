@@ -21,15 +21,12 @@ const POLLS: u32 = 10_000;
 /// Priority of the frames, as the core counts it: RTIC's 4 of 16, between link and tick.
 const PRIORITY: u8 = (16 - 4) << 4;
 
-/// One port.
 #[expect(
     clippy::large_enum_variant,
     reason = "there are two, in a static, and no heap"
 )]
 pub(super) enum FramePort {
-    /// CAN controller.
     Can(Bxcan<Peripheral>),
-    /// Serial port.
     Text(TextPort),
     /// A controller that does not answer.
     Dead,

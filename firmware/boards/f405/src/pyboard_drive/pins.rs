@@ -10,7 +10,6 @@ use stm32f4xx_hal::pac::tim1::RegisterBlock;
 use super::{DIRECTION, FAULT, PULSE_TOP, PulseTimer, PyboardDrive, SELECT};
 use crate::board::EnablePin;
 
-/// Direction of the torque.
 pub(crate) struct DirectionPin;
 
 impl ErrorType for DirectionPin {
@@ -79,7 +78,6 @@ fn pin_high() -> bool {
     FAULT.is_high()
 }
 
-/// The channel.
 pub(crate) struct Pulse;
 
 impl Pulse {

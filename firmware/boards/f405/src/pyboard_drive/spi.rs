@@ -9,7 +9,6 @@ use super::{ENCODER_DIVIDER, ENCODER_POLLS, EncoderBus, SELECT_CYCLES, pins};
 /// Result of [`exchange`] without a byte: beyond every byte.
 const NONE: u32 = 1 << 8;
 
-/// The encoder on its bus.
 pub(crate) struct EncoderDevice;
 
 impl EncoderDevice {

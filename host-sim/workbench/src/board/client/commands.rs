@@ -262,7 +262,6 @@ impl<const N: usize> Client<N> {
         self.command(&HostMessage::ClearFault)
     }
 
-    /// Disarms the board if its torque flows.
     pub(super) fn bring_to_rest(&mut self) -> Result<(), BoardError> {
         if torque_flows(self.safety.state) {
             self.disarm()?;
@@ -282,7 +281,6 @@ impl<const N: usize> Client<N> {
     }
 }
 
-/// In this state the motor stage has torque.
 fn torque_flows(state: SafetyState) -> bool {
     matches!(state, SafetyState::Armed | SafetyState::RampDown)
 }
