@@ -89,7 +89,11 @@ impl TextForm {
                     (_, true) => "bfR",
                     _ => "bf",
                 };
-                format!("can send {:x} {hex} {flags}\n", frame.id)
+                // The adapter sends identifiers up to 7ff as standard ones otherwise, and refuses a frame without data.
+                let short = frame.extended && frame.id <= Frame::STANDARD_MAX;
+                let command = if short { "ext" } else { "send" };
+                let data = if frame.remote { "00" } else { &hex };
+                format!("can {command} {:x} {data} {flags}\n", frame.id)
             }
         }
     }
@@ -234,6 +238,10 @@ mod tests {
             "can send 8001 01000A BF\n"
         );
         assert_eq!(TextForm::Fdcanusb.line(&one), "can send 1 02 bf\n");
+        let asked = TextForm::Fdcanusb.line(&Frame::remote(0x49));
+        assert_eq!(asked, "can send 49 00 bfR\n");
+        let short = TextForm::Fdcanusb.line(&Frame::extended(0x7f, &[3]));
+        assert_eq!(short, "can ext 7f 03 bf\n");
         let extended = Frame::extended(0x100, &[0x27, 0x01]).into_fd(0);
         for (line, frame) in [
             ("rcv 100 2701 E B F t123", extended),
