@@ -114,3 +114,20 @@ impl Random {
         (0..12).map(|_| self.uniform()).sum::<f64>() * 0.5
     }
 }
+
+/// Motion of tests at the time `t`, s: a sine of `[amplitude, angular frequency, phase]` a joint, rad, rad/s, rad.
+#[cfg(test)]
+pub(crate) fn sines<const N: usize>(
+    t: f64,
+    wave: impl Fn(usize) -> [f64; 3],
+) -> joint::JointMotion<N> {
+    let mut motion = joint::JointMotion::zero();
+    for j in 0..N {
+        let [amplitude, omega, phase] = wave(j);
+        let (sin, cos) = (omega * t + phase).sin_cos();
+        motion.q[j] = (amplitude * sin) as f32;
+        motion.qd[j] = (amplitude * omega * cos) as f32;
+        motion.qdd[j] = (-amplitude * omega * omega * sin) as f32;
+    }
+    motion
+}

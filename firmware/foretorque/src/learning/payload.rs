@@ -11,7 +11,6 @@ pub(super) const PAYLOAD_PARAMETERS: usize = 7;
 /// Payload: standard parameters of a rigid body about the origin of the last link's frame, expressed in that frame.
 pub(super) type Payload = [f32; PAYLOAD_PARAMETERS];
 
-/// No payload.
 pub(super) const NO_PAYLOAD: Payload = [0.0; PAYLOAD_PARAMETERS];
 
 /// Largest distance of a payload's centre of mass from the origin of the last link, m. The flange is up to 0.1 m from it, and a
@@ -162,7 +161,6 @@ impl PayloadFilter {
         innovation * innovation / self.filter.update(&phi, tau * inverse, 1.0)
     }
 
-    /// Estimate.
     pub(super) fn payload(&self) -> Payload {
         let mut payload = self.filter.theta;
         for (value, sigma) in payload.iter_mut().zip(&self.sigma) {
@@ -212,7 +210,8 @@ mod tests {
     use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
     use crate::arm::{BaseIndex, LinkInertia, base_parameters};
     use crate::dynamics::{regressor_row, rnea};
-    use crate::joint::{JointMotion, JointVector};
+    use crate::joint::JointMotion;
+    use crate::sines;
 
     /// 3 kg, 5 cm beyond the flange and aside.
     fn body() -> LinkInertia {
@@ -228,12 +227,8 @@ mod tests {
         core::array::from_fn(|k| standard[k])
     }
 
-    fn motion(phase: f32) -> JointMotion<N> {
-        JointMotion {
-            q: JointVector::from_fn(|j, _| (phase + j as f32).sin()),
-            qd: JointVector::from_fn(|j, _| (1.3 * phase + j as f32).cos()),
-            qdd: JointVector::from_fn(|j, _| 2.0 * (0.7 * phase + j as f32).sin()),
-        }
+    fn motion(t: f64) -> JointMotion<N> {
+        sines(t, |j| [1.0, 1.0 + 0.1 * j as f64, j as f64])
     }
 
     #[test]
@@ -251,7 +246,7 @@ mod tests {
         let beta = payload_base::<Ur5, N, P>(&numbers());
         assert!((beta - whole).amax() < 1e-6, "{beta} {whole}");
         for joint in 0..N {
-            let motion = motion(joint as f32);
+            let motion = motion(joint as f64);
             let tau = rnea::<Ur5, N, P>(&beta, &motion)[joint];
             let row = regressor_row::<Ur5, N, P>(joint, &motion).data.0[0];
             let row = payload_row::<Ur5, N, P>(&row);
@@ -265,7 +260,7 @@ mod tests {
         let mut filter = PayloadFilter::new(&[0.0; PAYLOAD_PARAMETERS], &payload_sigma(6.0));
         assert!((filter.mass_sigma() - 6.0).abs() < 1e-3);
         for slice in 0..100 {
-            let motion = motion(0.01 * slice as f32);
+            let motion = motion(0.01 * f64::from(slice));
             let tau = rnea::<Ur5, N, P>(&truth, &motion);
             for joint in 0..N {
                 let row = regressor_row::<Ur5, N, P>(joint, &motion).data.0[0];

@@ -2,22 +2,22 @@ use super::noise::EFFECTIVE_ROWS;
 use super::*;
 use crate::Random;
 use crate::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
-use crate::dynamics::DISSIPATION_BOUNDS;
-use crate::dynamics::{FrictionColumn, FrictionParameters};
+use crate::dynamics::{DISSIPATION_BOUNDS, FrictionColumn, FrictionParameters};
 use crate::joint::{JointMotion, JointVector};
 use crate::learning::conditioning::AVERAGED;
 use crate::learning::parameters::dot;
+use crate::sines;
 use core::array::from_fn;
-use std::vec::Vec;
+use nalgebra::{DMatrix, DVector, SVector};
 
 const WIDTH: usize = FRICTION_COLUMNS;
 
-/// Reference filter on the plain covariance, in f64.
+/// Reference filter on the plain covariance, in f64. Parameters in prior standard deviations from the start.
 struct Twin {
-    start: Vec<f64>,
-    sigma: Vec<f64>,
-    theta: Vec<f64>,
-    p: Vec<Vec<f64>>,
+    start: DVector<f64>,
+    sigma: DVector<f64>,
+    theta: DVector<f64>,
+    p: DMatrix<f64>,
     variance: [f64; N],
     effective_rows: [f64; N],
     visits: [usize; N],
@@ -27,7 +27,7 @@ impl Twin {
     fn correct(
         &mut self,
         joint: usize,
-        phi: &[f64],
+        phi: &DVector<f64>,
         innovation: f64,
         process_noise: f64,
         factor: f64,
@@ -36,25 +36,21 @@ impl Twin {
         let column = RANDOM_WALK_COLUMNS[turn];
         let k = WIDTH * joint + column as usize;
         self.visits[joint] += 1;
-        if self.p[k][k] < 1.0 {
+        let variance = self.p[(k, k)];
+        if variance < 1.0 {
             let mean = self.start[k] / self.sigma[k] + self.theta[k];
             let square = match column {
                 FrictionColumn::Offset => 1.0,
-                _ => (mean * mean + self.p[k][k]).min(1.0),
+                _ => (mean * mean + variance).min(1.0),
             };
-            self.p[k][k] += RANDOM_WALK_COLUMNS.len() as f64 * process_noise * square;
+            self.p[(k, k)] += RANDOM_WALK_COLUMNS.len() as f64 * process_noise * square;
         }
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let gain: Vec<f64> = self.p.iter().map(|row| dot(row, phi)).collect();
-        let total = dot(&gain, phi) + factor * self.variance[joint];
+        let gain = &self.p * phi;
+        let total = gain.dot(phi) + factor * self.variance[joint];
         let s = total - (factor - 1.0) * self.variance[joint];
         let z = innovation / s.sqrt();
         if z.abs() <= 3.0 {
-            for (row, a) in self.p.iter_mut().zip(&gain) {
-                for (p, b) in row.iter_mut().zip(&gain) {
-                    *p -= a * b / total;
-                }
-            }
+            self.p.ger(-1.0 / total, &gain, &gain, 1.0);
         }
         let up = z.abs() > 0.6745;
         let mut step = 1.005;
@@ -63,53 +59,48 @@ impl Twin {
             step = 1.0 + 2.3 * self.variance[joint] / s / self.effective_rows[joint];
         }
         self.variance[joint] *= if up { step } else { 1.0 / step };
-        for (theta, gain) in self.theta.iter_mut().zip(&gain) {
-            *theta += gain * z.clamp(-3.0, 3.0) * s.sqrt() / total;
-        }
+        self.theta += gain * (z.clamp(-3.0, 3.0) * s.sqrt() / total);
         self.project(WIDTH * joint);
     }
 
     /// Most likely estimate within the bounds of the friction columns from `first` on.
     fn project(&mut self, first: usize) {
-        let n = self.theta.len();
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let (mut directions, mut values, mut images) = (Vec::new(), Vec::new(), Vec::new());
-        for bound in &DISSIPATION_BOUNDS {
-            let mut direction = std::vec![0.0; n];
-            let mut value = 0.0;
-            for (k, &a) in (first..).zip(bound) {
-                direction[k] = f64::from(a) * self.sigma[k];
-                value += f64::from(a) * (self.start[k] + self.sigma[k] * self.theta[k]);
-            }
-            let deviation = dot(&direction, &direction).sqrt();
-            direction.iter_mut().for_each(|a| *a /= deviation);
-            let image: Vec<f64> = self.p.iter().map(|row| dot(row, &direction)).collect();
-            images.push(image);
-            directions.push(direction);
-            values.push(value / deviation);
+        const BOUNDS: usize = DISSIPATION_BOUNDS.len();
+        let mut directions = DMatrix::zeros(self.theta.len(), BOUNDS);
+        for (mut direction, bound) in directions.column_iter_mut().zip(&DISSIPATION_BOUNDS) {
+            direction
+                .rows_mut(first, WIDTH)
+                .copy_from(&SVector::from(*bound).cast());
+        }
+        let friction = &self.start + self.sigma.component_mul(&self.theta);
+        let mut values = directions.tr_mul(&friction);
+        for (mut direction, value) in directions.column_iter_mut().zip(values.iter_mut()) {
+            direction.component_mul_assign(&self.sigma);
+            *value /= direction.normalize_mut();
         }
         if values.iter().all(|&value| value > -1e-4) {
             return;
         }
-        let product = |i: usize, k: usize| dot(&directions[i], &images[k]);
-        let products: [[f64; 5]; 5] = from_fn(|i| from_fn(|k| product(i, k)));
-        let mut lambda = [0.0f64; 5];
+        let images = &self.p * &directions;
+        let products = directions.tr_mul(&images);
+        let mut lambda = DVector::zeros(BOUNDS);
         for _ in 0..10_000 {
-            let before = lambda;
-            for i in 0..lambda.len() {
-                let inside = values[i] + dot(&products[i], &lambda);
-                lambda[i] = (lambda[i] - inside / products[i][i]).max(0.0);
+            let before = lambda.clone();
+            for i in 0..BOUNDS {
+                let inside = values[i] + products.column(i).dot(&lambda);
+                lambda[i] = f64::max(lambda[i] - inside / products[(i, i)], 0.0);
             }
-            if lambda.iter().zip(before).all(|(a, b)| (a - b).abs() < 1e-9) {
+            if (&lambda - before).amax() < 1e-9 {
                 break;
             }
         }
-        for (lambda, image) in lambda.iter().zip(&images) {
-            for (theta, p) in self.theta.iter_mut().zip(image) {
-                *theta += lambda * p;
-            }
-        }
+        self.theta += images * lambda;
     }
+}
+
+/// Numbers in f64, friction first.
+fn wide(numbers: &LinearParameters<N, P>) -> DVector<f64> {
+    DVector::from_iterator(WIDTH * N + P, numbers.iter().copied().map(f64::from))
 }
 
 /// True friction of every joint.
@@ -126,55 +117,45 @@ fn friction_truth() -> FrictionParameters {
 }
 
 /// Prior covariance in units of the prior standard deviations: uncorrelated friction, then base parameters.
-fn prior_covariance(n: usize) -> Vec<Vec<f64>> {
-    let floor = prior_floor::<Ur5, N, P>();
-    let mut p: Vec<Vec<f64>> = (0..n).map(|_| std::vec![0.0; n]).collect();
-    for (k, row) in p.iter_mut().enumerate() {
-        row[k] = k.checked_sub(n - P).map_or(1.0, |k| f64::from(floor[k]));
-    }
+fn prior_covariance() -> DMatrix<f64> {
+    let mut covariance = DMatrix::identity(WIDTH * N + P, WIDTH * N + P);
+    let mut rigid = covariance.view_mut((WIDTH * N, WIDTH * N), (P, P));
+    rigid.set_diagonal(&SVector::from(prior_floor::<Ur5, N, P>()).cast());
     for factor in (0..).map_while(prior_factor::<Ur5, N, P>) {
-        for (row, a) in p[n - P..].iter_mut().zip(factor) {
-            for (p, b) in row[n - P..].iter_mut().zip(factor) {
-                *p += f64::from(a) * f64::from(b);
-            }
-        }
+        let factor = SVector::from(factor).cast::<f64>();
+        rigid += factor * factor.transpose();
     }
-    p
+    covariance
 }
 
 #[test]
 fn the_initial_covariance_is_that_of_the_prior_factors() {
     let prior = ParameterSet::nominal::<Ur5>(1);
     let estimator = Estimator::<N, P>::new::<Ur5>(&prior);
-    let n = WIDTH * N + P;
-    let twin = prior_covariance(n);
+    let twin = prior_covariance();
+    let first = WIDTH * N;
     for k in 0..P {
         let variance = f64::from(estimator.filter().rigid_variance(k).unwrap());
         assert!((variance - 1.0).abs() < 1e-4, "{k}: {variance}");
-        assert!((variance - twin[n - P + k][n - P + k]).abs() < 1e-4, "{k}");
+        let exact = twin[(first + k, first + k)];
+        assert!((variance - exact).abs() < 1e-4, "{k}");
     }
     // The first moments of upper arm and forearm share the masses beyond the elbow.
-    let (upper, forearm) = (n - P + 1, n - P + 8);
-    assert!(twin[upper][forearm] > 0.5, "{}", twin[upper][forearm]);
+    let shared = twin[(first + 1, first + 8)];
+    assert!(shared > 0.5, "{shared}");
 }
 
 /// Row and noisy torque of an arm 10 % heavier than its description, on sines without common period, at most 2 rad/s.
 fn row_and_torque(tick: u32, joint: usize, random: &mut Random) -> (LinearParameters<N, P>, f32) {
-    let t = f64::from(tick) * 1e-3;
-    let wave = |j: usize| {
-        let w = 1.1 + 0.37 * j as f64;
-        (w * t + j as f64, w)
-    };
-    let motion = JointMotion::<N> {
-        q: JointVector::from_fn(|j, _| wave(j).0.sin() as f32),
-        qd: JointVector::from_fn(|j, _| (wave(j).1 * wave(j).0.cos()) as f32),
-        qdd: JointVector::from_fn(|j, _| (-wave(j).1.powi(2) * wave(j).0.sin()) as f32),
-    };
+    let motion = sines::<N>(1e-3 * f64::from(tick), |j| {
+        [1.0, 1.1 + 0.37 * j as f64, j as f64]
+    });
     let mut tau = JointVector::<N>::zeros();
-    let mut truth = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1));
-    truth.rigid = truth.rigid.map(|theta| 1.1 * theta);
     let row = torque_row::<Ur5, N, P>(joint, &ConditionedSample { motion, tau });
-    truth.friction = [friction_truth().0; N];
+    let truth = LinearParameters {
+        friction: [friction_truth().0; N],
+        rigid: Ur5::NOMINAL.map(|theta| 1.1 * theta),
+    };
     // The torque of a row is a mean.
     let noise = 0.01 * random.normal() / (AVERAGED as f64).sqrt();
     tau[joint] = row.dot(&truth) + noise as f32 * Ur5::LIMITS[joint].torque;
@@ -187,13 +168,11 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
     let prior = ParameterSet::nominal::<Ur5>(1);
     let (start, sigma) = (LinearParameters::of(&prior), config.sigma);
     let mut estimator = Estimator::<N, P>::new::<Ur5>(&prior);
-    let n = start.iter().count();
-    let wide = |numbers: &LinearParameters<N, P>| numbers.iter().copied().map(f64::from).collect();
     let mut twin = Twin {
         start: wide(&start),
         sigma: wide(&sigma),
-        theta: std::vec![0.0; n],
-        p: prior_covariance(n),
+        theta: DVector::zeros(WIDTH * N + P),
+        p: prior_covariance(),
         variance: [f64::from(FIRST_VARIANCE); N],
         effective_rows: [f64::from(FIRST_ROWS); N],
         visits: [0; N],
@@ -207,22 +186,15 @@ fn a_hundred_thousand_rows_agree_with_exact_arithmetic() {
         let before = estimator.correct(&config, joint, limit, &row, tau);
         assert!(before.is_some());
         let unit = f64::from(config.noise * limit);
-        let mut innovation = f64::from(tau);
-        let mut phi = Vec::with_capacity(n);
-        let columns = row.iter().zip(start.iter()).zip(sigma.iter());
-        for (((&row, &start), &sigma), theta) in columns.zip(&twin.theta) {
-            let (row, sigma) = (f64::from(row), f64::from(sigma));
-            innovation -= row * (f64::from(start) + sigma * theta);
-            phi.push(row * sigma / unit);
-        }
+        let row = wide(&row);
+        let expected = row.dot(&(&twin.start + twin.sigma.component_mul(&twin.theta)));
+        let innovation = (f64::from(tau) - expected) / unit;
+        let phi = row.component_mul(&twin.sigma) / unit;
         let noise = f64::from(config.process_noise);
-        twin.correct(joint, &phi, innovation / unit, noise, factor);
+        twin.correct(joint, &phi, innovation, noise, factor);
         if tick % 1000 == 999 {
-            let numbers = estimator.parameters().iter().zip(start.iter());
-            for (((&theta, &start), &sigma), twin) in numbers.zip(sigma.iter()).zip(&twin.theta) {
-                let theta = (f64::from(theta) - f64::from(start)) / f64::from(sigma);
-                worst = worst.max((theta - twin).abs());
-            }
+            let theta = (wide(estimator.parameters()) - &twin.start).component_div(&twin.sigma);
+            worst = worst.max((theta - &twin.theta).amax());
             assert!(estimator.filter().diagonal().iter().all(|&d| d > 0.0));
         }
     }
@@ -262,9 +234,7 @@ fn frictionless(
     drift: &mut f32,
 ) -> (LinearParameters<N, P>, f32) {
     let (row, _) = row_and_torque(tick, joint, random);
-    let rigid = LinearParameters::of(&ParameterSet::nominal::<Ur5>(1))
-        .rigid
-        .map(|theta| 1.1 * theta);
+    let rigid = Ur5::NOMINAL.map(|theta| 1.1 * theta);
     *drift = 0.98 * *drift + 0.02 * 6.0 * random.uniform() as f32;
     let tau = dot(&row.rigid, &rigid) + 0.02 * *drift * Ur5::LIMITS[joint].torque;
     (row, tau)
