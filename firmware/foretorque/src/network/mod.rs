@@ -370,14 +370,6 @@ mod tests {
     }
 
     #[test]
-    fn bounded_activations_stay_bounded_for_any_finite_input() {
-        for x in [-f32::MAX, -1e3, -0.0, 0.0, 1e3, f32::MAX] {
-            assert!((0.0..=1.0).contains(&Sigmoid::value(x)), "sigmoid at {x}");
-            assert!((-1.0..=1.0).contains(&Tanh::value(x)), "tanh at {x}");
-        }
-    }
-
-    #[test]
     fn the_blocked_sweep_is_the_matrix_product_at_any_width() {
         fn error<const H: usize, const O: usize>() -> f32 {
             let network: BpNetwork<18, H, O, Tanh> = BpNetwork::random(7);
