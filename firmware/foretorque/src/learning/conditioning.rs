@@ -84,10 +84,6 @@ const RECENT: usize = 8;
 impl<const N: usize> MeasurementWindow<N> {
     /// Empty window of samples of `decimation` ticks, from 1 on.
     pub const fn new(decimation: u32) -> Self {
-        let zero = JointMeasurement {
-            q: zero_vector(),
-            tau: zero_vector(),
-        };
         Self {
             q: [[0.0; 2 * TAPS]; N],
             tau: [zero_vector(); TORQUES],
@@ -97,8 +93,8 @@ impl<const N: usize> MeasurementWindow<N> {
             decimation,
             ticks: 0,
             since_sample: 0,
-            sum: zero,
-            last: zero,
+            sum: JointMeasurement::zero(),
+            last: JointMeasurement::zero(),
             gap: 0,
             copies: 0,
             age: 0,
@@ -113,7 +109,6 @@ impl<const N: usize> MeasurementWindow<N> {
         (self.gap, self.copies, self.age) = (0, 0, 0);
     }
 
-    /// True before the first measurement.
     fn is_empty(&self) -> bool {
         self.filled == 0 && self.ticks == 0
     }

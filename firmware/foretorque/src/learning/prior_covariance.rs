@@ -104,29 +104,23 @@ pub(super) const fn rigid_sigma<const N: usize, const P: usize>(arm: &ArmModel<N
 /// Squares of the floor, in the units of the base parameters; 1 where the arm has no base parameter.
 const fn floor_squared<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> [f32; P] {
     let mut squares = [1.0; P];
-    let mut column = 0;
-    // Order of the base set: columns of the links, then rotor inertias.
-    let mut index = 0;
-    while index < (LINK_PARAMETERS + 1) * N {
-        let rotor = index >= LINK_PARAMETERS * N;
-        let (joint, k) = if rotor {
-            (index - LINK_PARAMETERS * N, LINK_PARAMETERS)
-        } else {
-            (index / LINK_PARAMETERS, index % LINK_PARAMETERS)
-        };
-        let columns = arm.columns[joint];
-        let independent = if rotor {
-            columns.rotor
-        } else {
-            columns.inertial[k]
-        };
-        if independent && column < P {
-            let scale = if k < 4 { GRAVITY } else { FLOOR_ACCELERATION };
-            let floor = FLOOR * arm.limits[joint].torque / scale;
-            squares[column] = floor * floor;
-            column += 1;
+    let mut joint = 0;
+    while joint < N {
+        let mut k = 0;
+        while k <= LINK_PARAMETERS {
+            let column = if k < LINK_PARAMETERS {
+                arm.index.link[joint][k]
+            } else {
+                arm.index.rotor[joint]
+            };
+            if let Some(column) = column {
+                let scale = if k < 4 { GRAVITY } else { FLOOR_ACCELERATION };
+                let floor = FLOOR * arm.limits[joint].torque / scale;
+                squares[column] = floor * floor;
+            }
+            k += 1;
         }
-        index += 1;
+        joint += 1;
     }
     squares
 }
@@ -160,7 +154,6 @@ const fn base_change<const N: usize, const P: usize>(
     beta
 }
 
-/// Uncertainty of one link.
 #[derive(Clone, Copy)]
 struct LinkUncertainty {
     /// Standard parameters.
