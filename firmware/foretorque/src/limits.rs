@@ -141,13 +141,4 @@ mod tests {
             assert_eq!(limited, (torque, flags), "{target} after {previous}");
         }
     }
-
-    #[test]
-    fn slew_reaches_zero_exactly() {
-        let mut torque = 28.0;
-        for _ in 0..6 {
-            torque = limit(0.0, torque, 150.0, 5.0).0;
-        }
-        assert_eq!(torque, 0.0);
-    }
 }

@@ -247,29 +247,6 @@ mod tests {
     use crate::dynamics::{BaseParameters, rnea};
     use crate::joint::JointMotion;
 
-    /// Torque of one such joint; it has no cogging of its own.
-    fn torque(joint: FrictionParameters, qd: f32, load: f32) -> f32 {
-        let row = friction_row(0.0, 0.0, qd, load);
-        row.iter().zip(joint.0).map(|(x, p)| x * p).sum()
-    }
-
-    #[test]
-    fn friction_opposes_motion_and_is_coulomb_plus_viscous_away_from_rest() {
-        let joint = FrictionParameters::NONE
-            .with(FrictionColumn::Viscous, 12.0)
-            .with(FrictionColumn::Coulomb, 7.0)
-            .with(FrictionColumn::Stribeck, 1.0)
-            .with(FrictionColumn::Load, 0.1);
-        assert_eq!(torque(joint, 0.0, 50.0), 0.0);
-        assert!((torque(joint, 1.5, 0.0) - 25.0).abs() < 1e-5);
-        assert_eq!(torque(joint, -1.5, 0.0), -torque(joint, 1.5, 0.0));
-        // The load presses the gear, whichever way it pulls.
-        for load in [-50.0, 50.0] {
-            assert!((torque(joint, 1.5, load) - 30.0).abs() < 1e-5);
-            assert!((torque(joint, -1.5, load) + 30.0).abs() < 1e-5);
-        }
-    }
-
     #[test]
     fn cogging_keeps_its_phase_over_many_turns() {
         for cycles in [1.0f32, 36.0, 202.0, 411.0] {
@@ -387,21 +364,15 @@ mod tests {
     fn the_columns_in_f32_and_f64_are_the_same_functions() {
         for step in -300..=300 {
             let qd = 0.01 * step as f32;
-            let sign = SmoothedSign::of(qd).sharp;
+            let sign = SmoothedSign::of(qd);
             let cogging = cogging(202.0, 0.013 * step as f32);
-            let single = FrictionPoint {
-                qd,
-                sign,
-                load: -7.0 * sign,
-                cogging_sin: cogging.sin,
-                cogging_cos: cogging.cos,
-            };
+            let single = FrictionPoint::new(qd, &sign, cogging, -7.0 * sign.sharp);
             let double = FrictionPoint {
-                qd: f64::from(qd),
-                sign: f64::from(sign),
-                load: -7.0 * f64::from(sign),
-                cogging_sin: f64::from(cogging.sin),
-                cogging_cos: f64::from(cogging.cos),
+                qd: f64::from(single.qd),
+                sign: f64::from(single.sign),
+                load: f64::from(single.load),
+                cogging_sin: f64::from(single.cogging_sin),
+                cogging_cos: f64::from(single.cogging_cos),
             };
             for (single, double) in single.columns().into_iter().zip(double.columns()) {
                 let error = (f64::from(single) - double).abs();
