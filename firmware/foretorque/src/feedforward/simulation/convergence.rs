@@ -129,24 +129,19 @@ fn an_arm_that_stands_still_for_a_minute_changes_no_parameter() {
     };
     let mut settled = None;
     for tick in 0..61_000 {
-        let tau = true_torque(&still, AS_IT_IS);
-        let measured = JointMeasurement {
-            q: still.q.map(|q| q + (plant.noise.uniform() * 2.4e-5) as f32),
-            tau: JointVector::from_fn(|j, _| {
-                let noise = 0.01 * f64::from(Ur5::LIMITS[j].torque) * plant.noise.normal();
-                (tau[j] + noise) as f32
-            }),
-        };
-        board.tick(&JointSample {
-            desired: still,
-            measured: Some(measured),
-        });
+        let mut sample = plant.measure(still);
+        if let Some(measured) = &mut sample.measured {
+            let noise = &mut plant.noise;
+            measured
+                .q
+                .apply(|q| *q += (noise.uniform() * 2.4e-5) as f32);
+        }
+        board.tick(&sample);
         // A stop in no time is an event: its test and the relearning after it last for 8 s.
         if tick == 12_000 {
             settled = Some(*board.active());
         }
     }
-    std::println!("{:?}", board.learner.state().statistics);
     assert_eq!(Some(*board.active()), settled);
     assert!(board.learner.state().statistics.gated > 60_000);
 }

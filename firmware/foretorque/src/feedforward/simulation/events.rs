@@ -33,17 +33,7 @@ struct Cell {
 impl Cell {
     /// A board that has learnt the arm for 14 s.
     fn settled() -> Self {
-        Self::settled_from(0)
-    }
-
-    /// A settled board whose counter of the tick began at `first`.
-    fn settled_from(first: u32) -> Self {
-        Self::learnt(|board| {
-            let state = &mut board.feedforward.state;
-            state.tick = first;
-            // Loads and requests wrap as well.
-            (state.generation, state.requests) = (first, first);
-        })
+        Self::learnt(|_| ())
     }
 
     /// A board that is changed by `change` and has learnt the arm for 14 s.
@@ -66,6 +56,11 @@ impl Cell {
         let board = &mut self.board;
         let asked = board.feedforward.request(request, &mut board.exchange);
         assert!(asked.is_ok(), "{request:?}");
+    }
+
+    fn load(&mut self, set: Set) {
+        let board = &mut self.board;
+        board.feedforward.load(set, &mut board.exchange);
     }
 
     fn steps(&mut self, ticks: u32) {
@@ -91,13 +86,24 @@ impl Cell {
         self.board.learner.state().report.quality.payload
     }
 
-    /// The largest joint's error of `torque`, in units of the torque limit.
-    fn error(&self, sample: &JointSample<N>, torque: &Torque<N>) -> f64 {
+    fn phase(&self) -> Phase {
+        self.board.learner.state().report.quality.phase
+    }
+
+    /// Share of the learnt set in the torque of `joint`.
+    fn share(&self, joint: usize) -> f32 {
+        self.board.learner.state().share().joint[joint]
+    }
+
+    /// One tick; true if the torque of a joint is wrong by more than 5 % of its limit.
+    fn errs(&mut self) -> bool {
+        let (sample, torque) = self.step();
         let needed = loaded_torque(&self.plant.body, &sample.desired, self.plant.drive);
-        let share = |j: usize| {
-            ((f64::from(torque.total[j]) - needed[j]) / f64::from(Ur5::LIMITS[j].torque)).abs()
-        };
-        (0..N).map(share).fold(0.0, f64::max)
+        let joints = torque.total.iter().zip(needed).zip(&Ur5::LIMITS);
+        let mut errors = joints.map(|((&total, needed), limits)| {
+            (f64::from(total) - needed).abs() / f64::from(limits.torque)
+        });
+        errors.any(|error| error > 0.05)
     }
 }
 
@@ -229,8 +235,7 @@ fn m12_a_push_is_no_payload_and_leaves_nothing_behind() {
         for k in 0..length + 2500 {
             let rise = (f64::from(k.min(length.saturating_sub(k))) / 10.0).min(1.0);
             cell.plant.push = push.map(|p| p * rise);
-            let (sample, torque) = cell.step();
-            let bad = cell.error(&sample, &torque) > 0.05;
+            let bad = cell.errs();
             during += u32::from(bad && k < length);
             after += u32::from(bad && k > length + 1000);
         }
@@ -246,8 +251,7 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
     // Leaning on the elbow for longer than any trial lasts.
     cell.plant.push[2] = 30.0;
     cell.steps(4000);
-    let phase = |cell: &Cell| cell.board.learner.state().report.quality.phase;
-    assert_eq!(phase(&cell), Phase::Relearning);
+    assert_eq!(cell.phase(), Phase::Relearning);
     let refusals = [Reason::Implausible, Reason::Uncertain, Reason::Residual];
     let leaning = cell.decisions();
     assert!(has(&leaning, Reason::Alarm) && has(&leaning, Reason::Relearning));
@@ -255,39 +259,30 @@ fn m12_after_any_event_the_guard_is_healthy_again() {
     assert!(refused, "{leaning:?}");
     cell.plant.push[2] = 0.0;
     for tick in 0..12_000 {
-        let (sample, torque) = cell.step();
-        let error = cell.error(&sample, &torque);
-        assert!(error < 0.05, "{error} after {tick} ticks");
+        assert!(!cell.errs(), "after {tick} ticks");
     }
-    assert_eq!(phase(&cell), Phase::Healthy);
+    assert_eq!(cell.phase(), Phase::Healthy);
     assert!(has(&cell.decisions(), Reason::RelearningEnded));
 }
 
 #[test]
 fn a_lasting_force_that_was_learnt_is_out_of_the_torque_soon_after_its_end() {
     let mut cell = Cell::settled();
-    let sound = *cell.board.active();
-    let board = &mut cell.board;
-    board.feedforward.load(sound, &mut board.exchange);
+    cell.load(*cell.board.active());
     cell.plant.push[2] = 30.0;
     cell.steps(25_000);
-    assert!(cell.board.learner.state().share().joint[2] > 0.5);
+    assert!(cell.share(2) > 0.5);
     cell.decisions();
     cell.plant.push[2] = 0.0;
     // The payload test lasts 3 s, relearning 5 s.
-    let wrong = (0..5000).filter(|_| {
-        let (sample, torque) = cell.step();
-        cell.error(&sample, &torque) > 0.05
-    });
-    let wrong = wrong.count();
+    let wrong = (0..5000).filter(|_| cell.errs()).count();
     assert!(wrong < 4000, "{wrong} ticks");
     assert!(has(&cell.decisions(), Reason::Relearning));
     // A stop does not bring the shares of before back.
-    let share = |cell: &Cell| cell.board.learner.state().share().joint[2];
-    let before = share(&cell);
+    let before = cell.share(2);
     cell.request(Request::Stop);
     cell.steps(100);
-    assert!(before < 0.2 && (share(&cell) - before).abs() < 0.1);
+    assert!(before < 0.2 && (cell.share(2) - before).abs() < 0.1);
 }
 
 /// A body that is picked up in the last moment of a motion is no change that lasts: the test waits for the next motion.
@@ -314,14 +309,13 @@ fn relearning_lasts_for_five_seconds_of_motion() {
     let mut cell = Cell::settled();
     cell.plant.push[2] = 30.0;
     cell.steps(4000);
-    let phase = |cell: &Cell| cell.board.learner.state().report.quality.phase;
-    assert_eq!(phase(&cell), Phase::Relearning);
+    assert_eq!(cell.phase(), Phase::Relearning);
     cell.plant.play(cell.tick, false);
     cell.steps(8000);
-    assert_eq!(phase(&cell), Phase::Relearning);
+    assert_eq!(cell.phase(), Phase::Relearning);
     cell.plant.play(cell.tick, true);
     cell.steps(5500);
-    assert_eq!(phase(&cell), Phase::Healthy);
+    assert_eq!(cell.phase(), Phase::Healthy);
 }
 
 /// A loaded network that is right is not learnt a second time by the linear parameters.
@@ -331,8 +325,7 @@ fn what_a_network_gives_is_not_added_again() {
     let mut set = *cell.board.active();
     set.network[2].output_bias[0] = -0.05;
     let limit = f64::from(Ur5::LIMITS[2].torque);
-    let board = &mut cell.board;
-    board.feedforward.load(set, &mut board.exchange);
+    cell.load(set);
     cell.plant.push[2] = 0.05 * limit;
     let mut worst = 0.0f64;
     for _ in 0..20 {
@@ -380,40 +373,32 @@ fn a_board_of_one_joint_hears_what_happens_to_that_joint_and_to_no_other() {
         cell.steps(12_000);
         let decisions = cell.decisions();
         assert!(!has(&decisions, Reason::Promoted), "{decisions:?}");
-        let is_alarm = |decision: &Decision| decision.reason == Reason::Alarm;
-        decisions
-            .into_iter()
-            .find(is_alarm)
-            .map(|alarm| alarm.joint)
+        let mut decisions = decisions.iter();
+        let alarm = decisions.find(|decision| decision.reason == Reason::Alarm);
+        alarm.map(|alarm| alarm.joint)
     };
     assert_eq!(heard(&mut cell, 0, 40.0), None);
     assert_eq!(heard(&mut cell, 4, 8.0), None);
     assert_eq!(heard(&mut cell, 1, 40.0), Some(Some(1)));
-    let quality = cell.board.learner.state().report.quality;
-    assert_eq!(quality.phase, Phase::Healthy);
-    assert_eq!(quality.payload, PayloadEstimate::default());
+    assert_eq!(cell.phase(), Phase::Healthy);
+    assert_eq!(cell.payload(), PayloadEstimate::default());
 }
 
 /// Torques of a board that learns, picks up 2 kg, takes a request and a load, with a counter that begins at `first`.
 fn life(first: u32) -> (Vec<[u32; N]>, u32) {
-    let mut cell = Cell::settled_from(first);
+    let mut cell = Cell::learnt(|board| {
+        let state = &mut board.feedforward.state;
+        // Loads and requests wrap as well.
+        (state.tick, state.generation, state.requests) = (first, first, first);
+    });
     let mut torques = Vec::new();
     let mut carried = 0.0_f32;
     for k in 0..4500 {
         match k {
             500 => cell.plant.body += cube(2.0),
             3500 => cell.plant.body -= cube(2.0),
-            4100 => {
-                let board = &mut cell.board;
-                let asked = board
-                    .feedforward
-                    .request(Request::Rollback, &mut board.exchange);
-                assert!(asked.is_ok());
-            }
-            4200 => {
-                let set = *cell.board.active();
-                cell.board.feedforward.load(set, &mut cell.board.exchange);
-            }
+            4100 => cell.request(Request::Rollback),
+            4200 => cell.load(*cell.board.active()),
             _ => {}
         }
         let (_, torque) = cell.step();
@@ -431,10 +416,8 @@ fn c1_across_every_wrap_the_torques_are_those_of_an_unwrapped_twin() {
     let wrap = LearningSample::<N>::LAST_TICK + 1;
     // Where the board learns, at the ends of a round, and where it carries, rolls back and loads.
     let places = [9000, 14_499, 14_503, 16_300, 18_101, 18_201].map(|after| wrap - after);
-    for first in [(1 << 31) - 9000, (1 << 31) - 16_300]
-        .into_iter()
-        .chain(places)
-    {
+    let halves = [9000, 16_300].map(|after| (1 << 31) - after);
+    for first in halves.into_iter().chain(places) {
         // The same place in all that happens at times.
         let (twin, _) = life(first % LearningSample::<N>::WHOLE_TICKS);
         let (wrapped, last) = life(first);

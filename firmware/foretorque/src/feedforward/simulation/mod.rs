@@ -209,8 +209,13 @@ impl Plant {
     }
 
     fn sample(&mut self, tick: u32) -> JointSample<N> {
-        let encoder = core::f64::consts::TAU / 131_072.0;
         let desired = self.desired(tick);
+        self.measure(desired)
+    }
+
+    /// Sample of the arm that moves as `desired`.
+    fn measure(&mut self, desired: JointMotion<N>) -> JointSample<N> {
+        let encoder = core::f64::consts::TAU / 131_072.0;
         let tau = loaded_torque(&self.body, &desired, self.drive);
         let push = self.push;
         let noisy = |j: usize, noise: &mut Random| {

@@ -4,17 +4,6 @@ use super::*;
 use crate::Random;
 
 #[test]
-fn torque_rises_from_zero_at_the_slew_limit() {
-    let mut tick = tick(set());
-    let slew = tick.config().slew_per_tick[1];
-    for count in 1..5 {
-        let torque = tick.step(&sample(JointMotion::zero()));
-        assert!(torque.flags.contains(Flags::SLEWED));
-        assert!((torque.total[1].abs() - slew * count as f32).abs() < 1e-4);
-    }
-}
-
-#[test]
 fn a_torque_that_the_drives_cannot_have_got_leaves_the_next_within_its_limits() {
     let limits = Ur5::LIMITS.map(|limits| limits.torque);
     for got in [200.0, -200.0, f32::INFINITY, f32::NEG_INFINITY, f32::NAN] {
@@ -27,17 +16,10 @@ fn a_torque_that_the_drives_cannot_have_got_leaves_the_next_within_its_limits() 
             };
             for (joint, limit) in limits.into_iter().enumerate() {
                 let total = torque.total[joint];
-                assert!(
-                    total.abs() <= limit,
-                    "{got}, stale: {stale}, joint {joint}: {total}"
-                );
+                assert!(total.abs() <= limit, "{got} {stale} {joint}: {total}");
                 if stale {
-                    let from = if got.is_finite() {
-                        got.clamp(-limit, limit)
-                    } else {
-                        0.0
-                    };
-                    assert_eq!(total, from);
+                    let clamped = got.clamp(-limit, limit);
+                    assert_eq!(total, if got.is_finite() { clamped } else { 0.0 });
                 }
             }
         }
@@ -84,14 +66,11 @@ fn beyond_the_learnt_range_what_was_learnt_is_that_of_its_edge() {
 #[test]
 fn what_was_learnt_is_bounded_around_the_committed_set() {
     let motion = motion(0.3);
-    let mut tick = tick(set());
-    let committed = settled(&mut tick, &motion).total;
+    let committed = settled(&mut tick(set()), &motion).total;
     let mut learnt = set();
     learnt.rigid *= 3.0;
     learnt.network[0].output_bias[0] = 5.0;
-    tick.state.set_active(&learnt, &LearntShare::FULL);
-    tick.state.range.set(&WIDE);
-    let torque = settled(&mut tick, &motion);
+    let torque = settled(&mut learnt_tick(&learnt), &motion);
     let clipped = Flags::LEARNED_CLIPPED | Flags::NETWORK_CLIPPED;
     assert!(torque.flags.contains(clipped));
     for j in 0..N {
@@ -126,19 +105,15 @@ fn lower_torque_limits_bound_what_was_learnt_and_leave_its_units() {
         config.limit_torque(joint, 0.1 * config.limits[joint].torque);
     }
     let mut tick = Tick::new(config, parameters).unwrap();
-    let (desired, tenth) = (motion(0.3), |value: f32| 0.1 * value);
+    let desired = motion(0.3);
     let torque = settled(&mut tick, &desired);
     let evaluated = evaluate::<Ur5, N, P>(&parameters, &desired);
     assert_eq!(torque.shares, evaluated.shares);
     for flag in [Flags::WITHDRAWN, Flags::GRAVITY_LOST, Flags::SHARE_FALLBACK] {
         assert!(!torque.flags.contains(flag), "{:?}", torque.flags);
     }
-    for (joint, slew) in whole
-        .learned_slew_per_tick
-        .map(tenth)
-        .into_iter()
-        .enumerate()
-    {
+    for joint in 0..N {
+        let slew = 0.1 * whole.learned_slew_per_tick[joint];
         let limit = config.limits[joint].torque;
         assert!((config.learned_slew_per_tick[joint] - slew).abs() < 1e-6 * slew);
         assert!(config.payload_bound[joint] <= PAYLOAD_PART * limit);
@@ -215,13 +190,10 @@ fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_th
         let path: [[f32; 3]; N] =
             core::array::from_fn(|_| [random() * 3.0, 1.0 + random(), 0.4 + 0.4 * random()]);
         let at = |tick: u32| {
-            let angle = |j: usize| path[j][0] + path[j][1] * tick as f32 * 1e-3;
-            let [speed, size] = [1, 2].map(|k| move |j: usize| path[j][k]);
-            JointMotion::<N> {
-                q: JointVector::from_fn(|j, _| size(j) * angle(j).sin()),
-                qd: JointVector::from_fn(|j, _| size(j) * speed(j) * angle(j).cos()),
-                qdd: JointVector::from_fn(|j, _| -size(j) * speed(j).powi(2) * angle(j).sin()),
-            }
+            sines::<N>(1e-3 * f64::from(tick), |j| {
+                let [phase, speed, size] = path[j].map(f64::from);
+                [size, speed, phase]
+            })
         };
         let mut tick = tick(set());
         let mut exchange = Exchange::new();
@@ -240,8 +212,7 @@ fn no_adoption_commit_or_payload_steps_the_torque_by_more_than_a_hundredth_of_th
                     new.network[joint].output_bias[0] = 0.1 * random();
                 }
                 let mut publication = finished(now - 1, new);
-                publication.range = WIDE;
-                publication.commit = random() > 0.5;
+                (publication.range, publication.commit) = (WIDE, random() > 0.5);
                 for (place, nominal) in publication.payload.iter_mut().zip(Ur5::NOMINAL) {
                     *place = 0.1 * random() * nominal;
                 }
@@ -308,14 +279,13 @@ fn loaded(change: fn(&mut Set)) -> Torque<N> {
 
 /// The tick after other parameters were learnt, and committed or not.
 fn learnt(change: fn(&mut Set), committed: bool) -> Torque<N> {
-    let (mut tick, sample) = prepared(set());
     let mut learnt = set();
     change(&mut learnt);
-    tick.state.set_active(&learnt, &LearntShare::FULL);
-    tick.state.range.set(&WIDE);
+    let mut tick = learnt_tick(&learnt);
     if committed {
         tick.state.commit();
     }
+    let (_, sample) = prepared(set());
     (0..40).for_each(|_| _ = tick.step(&sample));
     tick.step(&sample)
 }

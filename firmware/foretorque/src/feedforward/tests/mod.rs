@@ -7,6 +7,7 @@ use crate::dynamics::{
 };
 use crate::joint::JointMotion;
 use crate::learning::{LearnerReport, LearntShare, MotionRange, Publication};
+use crate::sines;
 
 mod adoption;
 mod limits;
@@ -51,11 +52,7 @@ fn tick(set: Set) -> Tick {
 }
 
 fn motion(phase: f32) -> JointMotion<N> {
-    JointMotion {
-        q: JointVector::from_fn(|j, _| (phase + j as f32).sin()),
-        qd: JointVector::from_fn(|j, _| (phase + j as f32).cos()),
-        qdd: JointVector::from_fn(|j, _| -(phase + j as f32).sin()),
-    }
+    sines(f64::from(phase), |j| [1.0, 1.0, j as f64])
 }
 
 fn sample(desired: JointMotion<N>) -> JointSample<N> {
@@ -63,6 +60,14 @@ fn sample(desired: JointMotion<N>) -> JointSample<N> {
         desired,
         measured: None,
     }
+}
+
+/// A tick with `learnt` in the torque, whose loaded set is [`set`].
+fn learnt_tick(learnt: &Set) -> Tick {
+    let mut tick = tick(set());
+    tick.state.set_active(learnt, &LearntShare::FULL);
+    tick.state.range.set(&WIDE);
+    tick
 }
 
 /// The torque of `tick` for a motion that has been asked for long enough to be past the slew limit.
@@ -75,22 +80,20 @@ fn settled(tick: &mut Tick, motion: &JointMotion<N>) -> Torque<N> {
 
 #[test]
 fn a_configuration_that_cannot_work_is_refused() {
-    let good = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
-    let mut slew = good;
-    slew.slew_per_tick[3] = f32::NAN;
-    let mut range = good;
-    range.limits[0].position = (1.0, -1.0);
-    assert!(good.validate().is_ok());
-    assert!(Tick::new(slew, set()).is_err());
+    let checked = |change: fn(&mut FeedForwardConfig<N>)| {
+        let mut config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
+        change(&mut config);
+        assert_eq!(Tick::new(config, set()).is_ok(), config.validate().is_ok());
+        config.validate()
+    };
     let refused = |field| Err(ConfigError::NotPositive(field));
-    assert_eq!(slew.validate(), refused("slew_per_tick"));
-    assert_eq!(range.validate(), refused("limits.position"));
-    let mut torque = good;
-    torque.limits[2].torque = f32::MAX;
-    assert_eq!(
-        torque.validate(),
-        Err(ConfigError::TooLarge("limits.torque"))
-    );
+    assert_eq!(checked(|_| ()), Ok(()));
+    let slew = checked(|config| config.slew_per_tick[3] = f32::NAN);
+    assert_eq!(slew, refused("slew_per_tick"));
+    let range = checked(|config| config.limits[0].position = (1.0, -1.0));
+    assert_eq!(range, refused("limits.position"));
+    let torque = checked(|config| config.limits[2].torque = f32::MAX);
+    assert_eq!(torque, Err(ConfigError::TooLarge("limits.torque")));
 }
 
 #[test]
@@ -203,11 +206,9 @@ fn a_broken_share_is_replaced_by_the_committed_one_and_the_others_go_on() {
         |s| s.network[4].output_bias[0] = f32::NAN,
     ];
     for corrupt in corrupt {
-        let mut tick = tick(set());
         let mut broken = set();
         corrupt(&mut broken);
-        tick.state.set_active(&broken, &LearntShare::FULL);
-        let torque = settled(&mut tick, &motion);
+        let torque = settled(&mut learnt_tick(&broken), &motion);
         assert_eq!(torque.shares, whole);
         let flags = Flags::SHARE_FALLBACK | Flags::NOT_FINITE;
         assert!(torque.flags.contains(flags));
