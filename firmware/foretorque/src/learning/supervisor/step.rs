@@ -6,7 +6,6 @@ use crate::learning::decision::Reason;
 use crate::learning::exchange::Request;
 use crate::learning::quality::Phase;
 
-/// State of the supervisor's decisions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SupervisorState {
     pub(crate) phase: Phase,
@@ -16,12 +15,10 @@ pub(crate) struct SupervisorState {
     pub(crate) reversed: bool,
     /// Ticks of following until the next commit.
     pub(crate) commit_in: u32,
-    /// Remaining ticks of relearning.
     pub(crate) relearning_ticks: u32,
 }
 
 impl SupervisorState {
-    /// Healthy, not following.
     pub(crate) const START: Self = Self {
         phase: Phase::Healthy,
         following: false,
@@ -69,17 +66,18 @@ pub(crate) struct Round {
 /// Consequence of a decision, for the learner to carry out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Action {
-    /// Nothing changes.
     None,
     /// Move the shares a bounded step, with `set` the learnt set, too; then commit if true.
-    Follow { set: bool, commit: bool },
+    Follow {
+        set: bool,
+        commit: bool,
+    },
     /// Return to the older checkpoint, and start a payload test.
     TestPayload,
     /// Return to the older checkpoint.
     Restore,
     /// Adopt the hypothesis as the payload.
     Promote,
-    /// Remove the payload.
     Release,
     /// Raise the variance of friction.
     Relearn,
@@ -89,7 +87,6 @@ pub(crate) enum Action {
     Snapshot,
     /// Return to the copy.
     Rollback,
-    /// Commit the learnt set.
     Commit,
 }
 
@@ -101,7 +98,6 @@ pub(crate) struct Transition {
     pub(crate) reason: Option<(Reason, f32)>,
 }
 
-/// Decision on `evidence` in the state `before`.
 pub(crate) fn step(
     config: &SupervisorConfig,
     before: &SupervisorState,
@@ -243,13 +239,20 @@ mod tests {
         }
     }
 
+    const ROUND: Round = Round {
+        ticks: 6,
+        moves: true,
+        share: 0.5,
+        reversed: false,
+        carries_payload: false,
+    };
+
     fn round(share: f32, reversed: bool, carries_payload: bool) -> Evidence {
         Evidence::Round(Round {
-            ticks: 6,
-            moves: true,
             share,
             reversed,
             carries_payload,
+            ..ROUND
         })
     }
 
@@ -258,53 +261,28 @@ mod tests {
         use PayloadDecision::{Promote, Refuse, Release, Transient};
         use Phase::{Healthy, PayloadTest, Relearning, Stopped};
         use Request::{Commit, Rollback, Snapshot, ZeroPayload};
-        let refuse = Refuse(Reason::Uncertain, 0.4);
+        let alarm = Evidence::Change(26.0);
+        let refuse = payload(Refuse(Reason::Uncertain, 0.4));
+        let [promote, release, transient] = [Promote, Release, Transient].map(payload);
         let to_snapshot = request(Rollback, true);
-        let without = |what| request(what, false);
+        let [rollback, zero, commit, snapshot] =
+            [Rollback, ZeroPayload, Commit, Snapshot].map(|what| request(what, false));
         // Phase, event; next phase, action, reason with its figure.
         for (phase, evidence, wanted) in [
-            (
-                Healthy,
-                Evidence::Change(26.0),
-                "PayloadTest TestPayload Alarm 26",
-            ),
-            (PayloadTest, payload(Promote), "Healthy Promote Promoted 2"),
-            (Healthy, payload(Promote), "Healthy Promote Promoted 2"),
-            (PayloadTest, payload(Release), "Healthy Release Released 2"),
-            (
-                PayloadTest,
-                payload(Transient),
-                "Healthy Resume Transient 0.1",
-            ),
-            (
-                PayloadTest,
-                payload(refuse),
-                "Relearning Relearn Uncertain 0.4",
-            ),
+            (Healthy, alarm, "PayloadTest TestPayload Alarm 26"),
+            (PayloadTest, promote, "Healthy Promote Promoted 2"),
+            (Healthy, promote, "Healthy Promote Promoted 2"),
+            (PayloadTest, release, "Healthy Release Released 2"),
+            (PayloadTest, transient, "Healthy Resume Transient 0.1"),
+            (PayloadTest, refuse, "Relearning Relearn Uncertain 0.4"),
             (Stopped, Evidence::Off, "Healthy None Resumed 0"),
             (Relearning, to_snapshot, "Healthy Rollback RolledBack 0"),
-            (
-                Relearning,
-                without(Rollback),
-                "Relearning None RequestRefused 2",
-            ),
-            (
-                PayloadTest,
-                without(ZeroPayload),
-                "Healthy Release PayloadZeroed 2",
-            ),
-            (Healthy, without(Commit), "Healthy Commit Committed 0"),
+            (Relearning, rollback, "Relearning None RequestRefused 2"),
+            (PayloadTest, zero, "Healthy Release PayloadZeroed 2"),
+            (Healthy, commit, "Healthy Commit Committed 0"),
             (Stopped, to_snapshot, "Stopped None RequestRefused 2"),
-            (
-                Stopped,
-                without(ZeroPayload),
-                "Stopped None RequestRefused 4",
-            ),
-            (
-                Healthy,
-                without(Snapshot),
-                "Healthy Snapshot SnapshotTaken 0",
-            ),
+            (Stopped, zero, "Stopped None RequestRefused 4"),
+            (Healthy, snapshot, "Healthy Snapshot SnapshotTaken 0"),
         ] {
             let (next, action, reason) = after(phase, evidence);
             let (reason, figure) = reason.expect("a reason");
@@ -316,8 +294,8 @@ mod tests {
             assert_eq!(after(phase, request(Request::Stop, true)), stopped);
         }
         for (phase, evidence) in [
-            (Stopped, Evidence::Change(26.0)),
-            (Relearning, Evidence::Change(26.0)),
+            (Stopped, alarm),
+            (Relearning, alarm),
             (Stopped, round(1.0, false, false)),
             (PayloadTest, round(1.0, false, false)),
             (Healthy, Evidence::Off),
@@ -364,18 +342,15 @@ mod tests {
         state = step(&config(), &state, refusal).state;
         // Rounds at rest do not count.
         for _ in 0..5000 {
-            let rest = Round {
-                ticks: 6,
+            let rest = Evidence::Round(Round {
                 moves: false,
-                share: 0.5,
-                reversed: false,
-                carries_payload: false,
-            };
-            state = step(&config(), &state, Evidence::Round(rest)).state;
+                ..ROUND
+            });
+            state = step(&config(), &state, rest).state;
         }
         let mut rounds = 0;
         while state.phase == Phase::Relearning {
-            let next = step(&config(), &state, round(0.5, false, false));
+            let next = step(&config(), &state, Evidence::Round(ROUND));
             let over = next.state.phase == Phase::Healthy;
             let shares_alone = Action::Follow {
                 set: false,

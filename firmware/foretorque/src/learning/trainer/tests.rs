@@ -7,8 +7,29 @@ const CONFIG: TrainerConfig = TrainerConfig {
     memory_rows: 3333.0,
 };
 
-fn silent() -> [JointNetwork; 1] {
-    [JointNetwork::silent(4)]
+fn silent() -> JointNetwork {
+    JointNetwork::silent(4)
+}
+
+/// Trainer of one joint, with its active network.
+#[derive(Clone, Copy, PartialEq)]
+struct Joint {
+    trainer: NetworkTrainer<1>,
+    active: JointNetwork,
+}
+
+impl Joint {
+    /// Silent candidate and active network.
+    fn new() -> Self {
+        Self {
+            trainer: NetworkTrainer::new(&[silent()]),
+            active: silent(),
+        }
+    }
+
+    fn train(&mut self, row: &NetworkRow) -> Option<NetworkDecision> {
+        self.trainer.train(&CONFIG, 0, row, &mut self.active)
+    }
 }
 
 /// Row at speeds evenly spread over ±2 rad/s, with friction outside the linear columns, and noise.
@@ -26,23 +47,22 @@ fn row(k: u32, height: f32) -> NetworkRow {
 
 #[test]
 fn a_significantly_better_candidate_is_promoted_and_none_before() {
-    let [mut active] = silent();
-    let mut trainer = NetworkTrainer::new(&[active]);
+    let mut joint = Joint::new();
     let mut promoted = None;
     for k in 0..20_000 {
-        let decision = trainer.train(&CONFIG, 0, &row(k, 0.02), &mut active);
+        let decision = joint.train(&row(k, 0.02));
         if let Some(NetworkDecision::Promoted(ratio)) = decision {
             assert!(ratio < PROMOTION_RATIO);
             promoted = promoted.or(Some(k));
         }
-        assert_eq!(active == silent()[0], promoted.is_none(), "row {k}");
+        assert_eq!(joint.active == silent(), promoted.is_none(), "row {k}");
     }
     // 3 σ of equal observations are nine.
     let soonest = 9 * BLOCK_ROWS - 1;
     let in_time = promoted.is_some_and(|k| (soonest..6 * soonest).contains(&k));
     assert!(in_time, "{promoted:?}");
     for qd in [-1.5, -0.1, 0.1, 1.5] {
-        let output = active.forward(&network_inputs(qd))[0];
+        let output = joint.active.forward(&network_inputs(qd))[0];
         let wanted = 0.02 * crate::math::tanh(qd * 5.0);
         assert!((output - wanted).abs() < 0.003, "{output} at {qd}");
     }
@@ -54,40 +74,33 @@ fn rows_of_a_payload_are_not_learnt_and_silence_a_network_that_costs() {
         of_arm: false,
         ..row(k, height)
     };
-    let [mut active] = silent();
-    let mut trainer = NetworkTrainer::new(&[active]);
+    let mut joint = Joint::new();
     for k in 0..10_000 {
-        let decision = trainer.train(&CONFIG, 0, &of_payload(k, 0.02), &mut active);
-        assert_eq!(decision, None, "row {k}");
+        assert_eq!(joint.train(&of_payload(k, 0.02)), None, "row {k}");
     }
-    assert_eq!(trainer.candidate, silent());
-    assert_eq!(trainer.filter, NetworkTrainer::new(&silent()).filter);
+    let NetworkTrainer {
+        candidate, filter, ..
+    } = joint.trainer;
+    assert_eq!(
+        (candidate, filter),
+        ([silent()], Joint::new().trainer.filter)
+    );
     // The network helped the arm alone, and the payload turns its sign.
-    let mut k = 0;
-    let mut decision = None;
-    while decision.is_none() && k < 20_000 {
-        k += 1;
-        decision = trainer.train(&CONFIG, 0, &row(k, 0.02), &mut active);
-    }
+    let decision = (1..20_000).find_map(|k| joint.train(&row(k, 0.02)));
     assert!(matches!(decision, Some(NetworkDecision::Promoted(_))));
-    let candidate = trainer.candidate;
-    decision = None;
-    while decision.is_none() && k < 40_000 {
-        k += 1;
-        decision = trainer.train(&CONFIG, 0, &of_payload(k, -0.02), &mut active);
-    }
+    let candidate = joint.trainer.candidate;
+    let decision = (20_000..40_000).find_map(|k| joint.train(&of_payload(k, -0.02)));
     assert!(matches!(decision, Some(NetworkDecision::Silenced(_))));
-    assert_eq!(trainer.candidate, candidate);
+    assert_eq!(joint.trainer.candidate, candidate);
 }
 
 #[test]
 fn without_residual_no_network_is_promoted() {
-    let [mut active] = silent();
-    let mut trainer = NetworkTrainer::new(&[active]);
+    let mut joint = Joint::new();
     for k in 0..60_000 {
-        assert_eq!(trainer.train(&CONFIG, 0, &row(k, 0.0), &mut active), None);
+        assert_eq!(joint.train(&row(k, 0.0)), None);
     }
-    assert_eq!(active, silent()[0]);
+    assert_eq!(joint.active, silent());
 }
 
 #[test]
@@ -99,18 +112,17 @@ fn significance_of_all_joints_promotes_each_that_agrees() {
         sum: 30.0,
         squares: 150.0,
     };
-    let mut trainer = NetworkTrainer::new(&[silent()[0]; 6]);
+    let mut trainer = NetworkTrainer::new(&[silent(); 6]);
     trainer.test = [test; 6];
     trainer.test[3].advantage.total.sum = 0.0;
     for joint in 0..6 {
-        let mut active = silent()[0];
         let mut fresh = trainer;
-        let promoted = fresh.decide(joint, &mut active).is_some();
+        let promoted = fresh.decide(joint, &mut silent()).is_some();
         assert_eq!(promoted, joint != 3, "joint {joint}");
     }
-    let mut alone = NetworkTrainer::new(&silent());
+    let mut alone = Joint::new().trainer;
     alone.test = [test];
-    assert_eq!(alone.decide(0, &mut silent()[0]), None);
+    assert_eq!(alone.decide(0, &mut silent()), None);
 }
 
 #[test]
@@ -139,23 +151,21 @@ fn a_candidate_is_not_promoted_by_motion_in_one_direction() {
         residual: row(k, 0.0).residual + 0.02,
         ..row(k, 0.0)
     };
-    let [mut active] = silent();
-    let mut trainer = NetworkTrainer::new(&[active]);
+    let mut joint = Joint::new();
     for k in 0..10_000 {
-        assert_eq!(trainer.train(&CONFIG, 0, &ahead(k), &mut active), None);
+        assert_eq!(joint.train(&ahead(k)), None);
     }
-    assert_eq!(active, silent()[0]);
+    assert_eq!(joint.active, silent());
 }
 
 #[test]
 fn a_harmful_network_is_silenced_in_two_seconds() {
-    let [mut active] = silent();
-    active.output_bias[0] = 0.02;
-    let mut trainer = NetworkTrainer::new(&silent());
+    let mut joint = Joint::new();
+    joint.active.output_bias[0] = 0.02;
     for k in 0..HARM_ROWS {
-        trainer.train(&CONFIG, 0, &row(k, 0.0), &mut active);
+        joint.train(&row(k, 0.0));
     }
-    assert_eq!(active, silent()[0]);
+    assert_eq!(joint.active, silent());
 }
 
 #[test]
@@ -164,36 +174,34 @@ fn a_prior_deviation_of_zero_disables_training() {
         output_sigma: 0.0,
         ..CONFIG
     };
-    let [mut active] = silent();
-    let mut trainer = NetworkTrainer::new(&silent());
-    let before = trainer;
+    let mut joint = Joint::new();
     for k in 0..5000 {
-        trainer.train(&config, 0, &row(k, 0.02), &mut active);
+        let Joint { trainer, active } = &mut joint;
+        trainer.train(&config, 0, &row(k, 0.02), active);
     }
-    assert!(trainer == before && active == silent()[0]);
+    assert!(joint == Joint::new());
 }
 
 #[test]
 fn the_hidden_layer_is_trained() {
-    let mut trainer = NetworkTrainer::new(&silent());
+    let mut joint = Joint::new();
     let config = TrainerConfig {
         hidden_rate: 0.01,
         ..CONFIG
     };
-    let [mut active] = silent();
     for k in 0..500 {
-        trainer.train(&config, 0, &row(k, 0.02), &mut active);
+        let Joint { trainer, active } = &mut joint;
+        trainer.train(&config, 0, &row(k, 0.02), active);
     }
-    let [before] = silent();
-    assert_ne!(trainer.candidate[0].hidden_weights, before.hidden_weights);
+    let [candidate] = joint.trainer.candidate;
+    assert_ne!(candidate.hidden_weights, silent().hidden_weights);
 }
 
 #[test]
 fn a_row_that_is_not_finite_is_ignored() {
-    let [mut active] = silent();
-    let mut trainer = NetworkTrainer::new(&[active]);
-    trainer.train(&CONFIG, 0, &row(1, 0.02), &mut active);
-    let before = trainer;
+    let mut joint = Joint::new();
+    joint.train(&row(1, 0.02));
+    let before = joint;
     for bad in [f32::NAN, f32::INFINITY] {
         let broken = [
             NetworkRow {
@@ -210,8 +218,8 @@ fn a_row_that_is_not_finite_is_ignored() {
             },
         ];
         for row in broken {
-            trainer.train(&CONFIG, 0, &row, &mut active);
-            assert!(trainer == before);
+            joint.train(&row);
+            assert!(joint == before);
         }
     }
 }
