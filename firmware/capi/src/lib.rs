@@ -20,7 +20,7 @@ use foretorque::arm::Arm as _;
 use foretorque::arm::ur5::{Exchange, FeedForward, JOINTS, Learner, ParameterSet, Ur5 as Arm};
 use foretorque::feedforward::FeedForwardConfig;
 use foretorque::joint::{JointSample, JointVector};
-use foretorque::learning::{LearningSample, Request, StartDeviations};
+use foretorque::learning::{LearningSample, Request, RequestPending, StartDeviations};
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use foretorque_link::safety::{Safety, SafetyLimits, SafetyReason};
 use foretorque_link::wire::Configuration;
@@ -173,11 +173,11 @@ pub unsafe extern "C" fn foretorque_init(
     memory: *mut core::ffi::c_void,
     size: usize,
     period_s: f32,
-    out: *mut *mut Foretorque,
+    out: Option<&mut MaybeUninit<*mut Foretorque>>,
 ) -> ForetorqueStatus {
-    if memory.is_null() || out.is_null() {
+    let Some(out) = out.filter(|_| !memory.is_null()) else {
         return ForetorqueStatus::Null;
-    }
+    };
     if size < size_of::<Foretorque>() {
         return ForetorqueStatus::TooSmall;
     }
@@ -185,13 +185,11 @@ pub unsafe extern "C" fn foretorque_init(
     if !place.is_aligned() {
         return ForetorqueStatus::Misaligned;
     }
-    // SAFETY: not null, aligned and large enough, as just checked, and the caller's to give; `out` may be written.
-    unsafe {
-        if Foretorque::init_in_place(place, period_s).is_none() {
-            return ForetorqueStatus::Period;
-        }
-        out.write(place);
+    // SAFETY: not null, aligned and large enough, as just checked, and the caller's to give.
+    if unsafe { Foretorque::init_in_place(place, period_s) }.is_none() {
+        return ForetorqueStatus::Period;
     }
+    out.write(place);
     ForetorqueStatus::Ok
 }
 
@@ -201,18 +199,15 @@ pub unsafe extern "C" fn foretorque_init(
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `bytes` points to `length` bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_load_bank(
-    it: *mut Foretorque,
+    it: Option<&mut Foretorque>,
     bytes: *const u8,
     length: usize,
 ) -> ForetorqueStatus {
-    if bytes.is_null() {
-        return ForetorqueStatus::Null;
-    }
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile; `length` bytes lie at `bytes`.
-    let (it, bytes) = unsafe { (it.as_mut(), slice::from_raw_parts(bytes, length)) };
-    let Some(it) = it else {
+    let Some(it) = it.filter(|_| !bytes.is_null()) else {
         return ForetorqueStatus::Null;
     };
+    // SAFETY: `length` bytes lie at `bytes`, as the caller promises.
+    let bytes = unsafe { slice::from_raw_parts(bytes, length) };
     if it.feed_forward.state().learning {
         return ForetorqueStatus::LearningOn;
     }
@@ -233,30 +228,25 @@ pub unsafe extern "C" fn foretorque_load_bank(
 /// written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_save_bank(
-    it: *mut Foretorque,
+    it: Option<&mut Foretorque>,
     buffer: *mut u8,
     size: usize,
-    length: *mut usize,
+    length: Option<&mut MaybeUninit<usize>>,
 ) -> ForetorqueStatus {
-    if buffer.is_null() || length.is_null() {
+    let (Some(it), Some(length), false) = (it, length, buffer.is_null()) else {
         return ForetorqueStatus::Null;
-    }
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile; `size` bytes lie at `buffer`, which are
-    // initialised before there is a reference to them.
-    let (it, buffer) = unsafe {
-        ptr::write_bytes(buffer, 0, size);
-        (it.as_mut(), slice::from_raw_parts_mut(buffer, size))
     };
-    let Some(it) = it else {
-        return ForetorqueStatus::Null;
+    // SAFETY: `size` bytes lie at `buffer`, which are initialised before there is a reference to them.
+    let buffer = unsafe {
+        ptr::write_bytes(buffer, 0, size);
+        slice::from_raw_parts_mut(buffer, size)
     };
     it.bank
         .refresh::<Arm, _, _>(&it.feed_forward.state().active);
     let Ok(bytes) = it.bank.encode(buffer) else {
         return ForetorqueStatus::TooSmall;
     };
-    // SAFETY: not null, and may be written.
-    unsafe { length.write(bytes.len()) };
+    length.write(bytes.len());
     ForetorqueStatus::Ok
 }
 
@@ -265,9 +255,8 @@ pub unsafe extern "C" fn foretorque_save_bank(
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_set_learning(it: *mut Foretorque, on: u8) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { act(it, |it| it.feed_forward.set_learning(on != 0)) }
+pub extern "C" fn foretorque_set_learning(it: Option<&mut Foretorque>, on: u8) -> ForetorqueStatus {
+    act(it, |it| it.feed_forward.set_learning(on != 0))
 }
 
 /// Asks the learner for what docs/learning.md describes, from the next tick on: 1 takes a snapshot, 2 returns to it, 3 commits
@@ -277,17 +266,19 @@ pub unsafe extern "C" fn foretorque_set_learning(it: *mut Foretorque, on: u8) ->
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_request(it: *mut Foretorque, request: u8) -> ForetorqueStatus {
+pub extern "C" fn foretorque_request(it: Option<&mut Foretorque>, request: u8) -> ForetorqueStatus {
     // An emergency stop is `foretorque_stop`.
     let request = Request::from_code(request).filter(|request| *request != Request::Stop);
     let Some(request) = request else {
         return ForetorqueStatus::Request;
     };
-    let mut asked = Ok(());
-    let ask = |it: &mut Foretorque| asked = it.feed_forward.request(request, &mut it.exchange);
-    // SAFETY: as the caller promises.
-    let status = unsafe { act(it, ask) };
-    asked.map_or(ForetorqueStatus::Pending, |()| status)
+    let Some(it) = it else {
+        return ForetorqueStatus::Null;
+    };
+    match it.feed_forward.request(request, &mut it.exchange) {
+        Ok(()) => ForetorqueStatus::Ok,
+        Err(RequestPending) => ForetorqueStatus::Pending,
+    }
 }
 
 /// Writes the quality of the model and the payload.
@@ -295,16 +286,14 @@ pub unsafe extern "C" fn foretorque_request(it: *mut Foretorque, request: u8) ->
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_quality(
-    it: *mut Foretorque,
-    out: *mut ForetorqueQuality,
+pub extern "C" fn foretorque_quality(
+    it: Option<&mut Foretorque>,
+    out: Option<&mut MaybeUninit<ForetorqueQuality>>,
 ) -> ForetorqueStatus {
-    let quality = |it: &mut Foretorque| {
+    answer(it, out, |it| {
         let report = &it.feed_forward.state().report;
         ForetorqueQuality::new(&report.quality, report.decisions.count())
-    };
-    // SAFETY: as the caller promises.
-    unsafe { answer(it, out, quality) }
+    })
 }
 
 /// Writes the decision of the learner with the number `number`, counted from 0. `FORETORQUE_STATUS_NO_DECISION` if it is not made
@@ -313,26 +302,20 @@ pub unsafe extern "C" fn foretorque_quality(
 /// # Safety
 /// As those of `foretorque_quality`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_decision(
-    it: *mut Foretorque,
+pub extern "C" fn foretorque_decision(
+    it: Option<&mut Foretorque>,
     number: u32,
-    out: *mut ForetorqueDecision,
+    out: Option<&mut MaybeUninit<ForetorqueDecision>>,
 ) -> ForetorqueStatus {
-    if out.is_null() {
+    let (Some(it), Some(out)) = (it, out) else {
         return ForetorqueStatus::Null;
-    }
-    let mut found = None;
-    let find = |it: &mut Foretorque| found = it.feed_forward.state().report.decisions.get(number);
-    // SAFETY: as the caller promises.
-    let status = unsafe { act(it, find) };
-    match found {
+    };
+    match it.feed_forward.state().report.decisions.get(number) {
         Some(decision) => {
-            // SAFETY: not null, and may be written.
-            unsafe { out.write(decision.into()) };
-            status
+            out.write(decision.into());
+            ForetorqueStatus::Ok
         }
-        None if status == ForetorqueStatus::Ok => ForetorqueStatus::NoDecision,
-        None => status,
+        None => ForetorqueStatus::NoDecision,
     }
 }
 
@@ -345,9 +328,9 @@ pub unsafe extern "C" fn foretorque_decision(
 /// values only if `measured`; `out` may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_step(
-    it: *mut Foretorque,
-    sample: *const ForetorqueSample,
-    out: *mut ForetorqueTorque,
+    it: Option<&mut Foretorque>,
+    sample: Option<&MaybeUninit<ForetorqueSample>>,
+    out: Option<&mut MaybeUninit<ForetorqueTorque>>,
 ) -> ForetorqueStatus {
     // SAFETY: as the caller promises.
     unsafe { step(it, sample, out, false) }
@@ -361,9 +344,9 @@ pub unsafe extern "C" fn foretorque_step(
 /// As those of `foretorque_step`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_tick(
-    it: *mut Foretorque,
-    sample: *const ForetorqueSample,
-    out: *mut ForetorqueTorque,
+    it: Option<&mut Foretorque>,
+    sample: Option<&MaybeUninit<ForetorqueSample>>,
+    out: Option<&mut MaybeUninit<ForetorqueTorque>>,
 ) -> ForetorqueStatus {
     // SAFETY: as the caller promises.
     unsafe { step(it, sample, out, true) }
@@ -372,18 +355,14 @@ pub unsafe extern "C" fn foretorque_tick(
 /// # Safety
 /// As those of `foretorque_step`.
 unsafe fn step(
-    it: *mut Foretorque,
-    sample: *const ForetorqueSample,
-    out: *mut ForetorqueTorque,
+    it: Option<&mut Foretorque>,
+    sample: Option<&MaybeUninit<ForetorqueSample>>,
+    out: Option<&mut MaybeUninit<ForetorqueTorque>>,
     guarded: bool,
 ) -> ForetorqueStatus {
-    let step = |it: &mut Foretorque| {
-        // SAFETY: null, or may be read as far as it has to be.
-        let sample = (!sample.is_null()).then(|| unsafe { ForetorqueSample::read(sample) });
-        it.step(sample, guarded)
-    };
     // SAFETY: as the caller promises.
-    unsafe { answer(it, out, step) }
+    let sample = sample.map(|sample| unsafe { ForetorqueSample::read(sample) });
+    answer(it, out, |it| it.step(sample, guarded))
 }
 
 /// Learns from the tick that has just run, in the time that is left of it. Without this call nothing is learnt.
@@ -391,12 +370,10 @@ unsafe fn step(
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way: a tick must not interrupt it.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_learn(it: *mut Foretorque) -> ForetorqueStatus {
-    let learn = |it: &mut Foretorque| {
+pub extern "C" fn foretorque_learn(it: Option<&mut Foretorque>) -> ForetorqueStatus {
+    act(it, |it| {
         if let Some(pending) = it.pending.take() {
             it.learner.learn(&pending, &mut it.exchange);
         }
-    };
-    // SAFETY: as the caller promises.
-    unsafe { act(it, learn) }
+    })
 }

@@ -1,5 +1,7 @@
 //! Commands and state of the safety.
 
+use core::mem::MaybeUninit;
+
 use foretorque::learning::Request;
 use foretorque_link::safety::{Safety, SafetyReason};
 use foretorque_link::wire::Configuration;
@@ -12,9 +14,11 @@ use crate::{Foretorque, ForetorqueLimits, ForetorqueSafety, ForetorqueStatus, JO
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `reason` may be written.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_arm(it: *mut Foretorque, reason: *mut u8) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { command(it, reason, Safety::arm) }
+pub extern "C" fn foretorque_arm(
+    it: Option<&mut Foretorque>,
+    reason: Option<&mut MaybeUninit<u8>>,
+) -> ForetorqueStatus {
+    command(it, reason, Safety::arm)
 }
 
 /// Clears a latched fault; the board is disarmed then. `FORETORQUE_STATUS_REFUSED` while the torque still ramps to zero, or a
@@ -23,28 +27,23 @@ pub unsafe extern "C" fn foretorque_arm(it: *mut Foretorque, reason: *mut u8) ->
 /// # Safety
 /// As those of `foretorque_arm`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_clear_fault(
-    it: *mut Foretorque,
-    reason: *mut u8,
+pub extern "C" fn foretorque_clear_fault(
+    it: Option<&mut Foretorque>,
+    reason: Option<&mut MaybeUninit<u8>>,
 ) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { command(it, reason, Safety::clear) }
+    command(it, reason, Safety::clear)
 }
 
-/// # Safety
-/// As those of `foretorque_arm`.
-unsafe fn command(
-    it: *mut Foretorque,
-    reason: *mut u8,
+fn command(
+    it: Option<&mut Foretorque>,
+    reason: Option<&mut MaybeUninit<u8>>,
     request: fn(&mut Safety<JOINTS>) -> Result<(), SafetyReason>,
 ) -> ForetorqueStatus {
     let mut refused = None;
-    let command = |it: &mut Foretorque| {
+    let status = answer(it, reason, |it| {
         refused = request(&mut it.safety).err();
         refused.unwrap_or_default().code()
-    };
-    // SAFETY: as the caller promises.
-    let status = unsafe { answer(it, reason, command) };
+    });
     refused.map_or(status, |_| ForetorqueStatus::Refused)
 }
 
@@ -53,9 +52,8 @@ unsafe fn command(
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueStatus {
-    // SAFETY: as the caller promises.
-    unsafe { act(it, |it| it.safety.disarm()) }
+pub extern "C" fn foretorque_disarm(it: Option<&mut Foretorque>) -> ForetorqueStatus {
+    act(it, |it| it.safety.disarm())
 }
 
 /// Sets the torque to zero at once, in any state, and latches `reason`: 3 for an emergency stop, 13 for a fault of a drive.
@@ -67,22 +65,19 @@ pub unsafe extern "C" fn foretorque_disarm(it: *mut Foretorque) -> ForetorqueSta
 /// # Safety
 /// As those of `foretorque_disarm`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> ForetorqueStatus {
+pub extern "C" fn foretorque_stop(it: Option<&mut Foretorque>, reason: u8) -> ForetorqueStatus {
     let reason = SafetyReason::ALL.get(usize::from(reason)).copied();
     let latches = reason.filter(|reason| reason.latches());
     let fault = latches.unwrap_or(SafetyReason::Stopped);
-    // SAFETY: as the caller promises.
-    unsafe {
-        act(it, |it| {
-            it.safety.torque_off(fault);
-            it.feed_forward.applied(it.safety.output());
-            // The data that led to it may not be fit to learn from. The stop replaces a request that still waits.
-            if fault == SafetyReason::Stopped {
-                it.feed_forward
-                    .request_over(Request::Stop, &mut it.exchange);
-            }
-        })
-    }
+    act(it, |it| {
+        it.safety.torque_off(fault);
+        it.feed_forward.applied(it.safety.output());
+        // The data that led to it may not be fit to learn from. The stop replaces a request that still waits.
+        if fault == SafetyReason::Stopped {
+            it.feed_forward
+                .request_over(Request::Stop, &mut it.exchange);
+        }
+    })
 }
 
 /// Takes the temperature of the motor of `joint`, counted from 0, degrees C. From 80 to 100 the torque limit falls to zero.
@@ -90,16 +85,15 @@ pub unsafe extern "C" fn foretorque_stop(it: *mut Foretorque, reason: u8) -> For
 /// # Safety
 /// As those of `foretorque_disarm`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_temperature(
-    it: *mut Foretorque,
+pub extern "C" fn foretorque_temperature(
+    it: Option<&mut Foretorque>,
     joint: u32,
     celsius: i8,
 ) -> ForetorqueStatus {
     if joint as usize >= JOINTS {
         return ForetorqueStatus::Joint;
     }
-    // SAFETY: as the caller promises.
-    unsafe { act(it, |it| it.safety.note_temperature(joint as usize, celsius)) }
+    act(it, |it| it.safety.note_temperature(joint as usize, celsius))
 }
 
 /// Sets the time that the brakes take to close, microseconds up to 1 s; 0 without brakes. Only while no torque flows; arming
@@ -108,12 +102,11 @@ pub unsafe extern "C" fn foretorque_temperature(
 /// # Safety
 /// As those of `foretorque_disarm`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_set_brake(
-    it: *mut Foretorque,
+pub extern "C" fn foretorque_set_brake(
+    it: Option<&mut Foretorque>,
     close_us: u32,
 ) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    let Some(it) = (unsafe { it.as_mut() }) else {
+    let Some(it) = it else {
         return ForetorqueStatus::Null;
     };
     if !it.safety.at_rest() {
@@ -132,11 +125,11 @@ pub unsafe extern "C" fn foretorque_set_brake(
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `out` may be written.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_safety(
-    it: *mut Foretorque,
-    out: *mut ForetorqueSafety,
+pub extern "C" fn foretorque_safety(
+    it: Option<&mut Foretorque>,
+    out: Option<&mut MaybeUninit<ForetorqueSafety>>,
 ) -> ForetorqueStatus {
-    let state = |it: &mut Foretorque| {
+    answer(it, out, |it| {
         let status = it.safety.status();
         ForetorqueSafety {
             state: status.state as u8,
@@ -145,9 +138,7 @@ pub unsafe extern "C" fn foretorque_safety(
             enabled: it.safety.enabled().into(),
             brake_released: it.safety.brake_released().into(),
         }
-    };
-    // SAFETY: as the caller promises.
-    unsafe { answer(it, out, state) }
+    })
 }
 
 /// Writes the hard limits.
@@ -155,11 +146,11 @@ pub unsafe extern "C" fn foretorque_safety(
 /// # Safety
 /// As those of `foretorque_safety`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn foretorque_limits(
-    it: *mut Foretorque,
-    out: *mut ForetorqueLimits,
+pub extern "C" fn foretorque_limits(
+    it: Option<&mut Foretorque>,
+    out: Option<&mut MaybeUninit<ForetorqueLimits>>,
 ) -> ForetorqueStatus {
-    let limits = |it: &mut Foretorque| {
+    answer(it, out, |it| {
         let limits = it.safety.limits();
         ForetorqueLimits {
             torque_nm: limits.torque.into(),
@@ -167,39 +158,25 @@ pub unsafe extern "C" fn foretorque_limits(
             timeout_ticks: limits.timeout_ticks,
             measurement_ticks: limits.measurement_ticks,
         }
-    };
-    // SAFETY: as the caller promises.
-    unsafe { answer(it, out, limits) }
+    })
 }
 
 /// Writes the result of `action` into `out`.
-///
-/// # Safety
-/// As those of `foretorque_safety`.
-pub(crate) unsafe fn answer<T>(
-    it: *mut Foretorque,
-    out: *mut T,
+pub(crate) fn answer<T>(
+    it: Option<&mut Foretorque>,
+    out: Option<&mut MaybeUninit<T>>,
     action: impl FnOnce(&mut Foretorque) -> T,
 ) -> ForetorqueStatus {
-    if out.is_null() {
+    let (Some(it), Some(out)) = (it, out) else {
         return ForetorqueStatus::Null;
-    }
-    // SAFETY: as the caller promises; `out` is not null, and may be written.
-    unsafe { act(it, |it| out.write(action(it))) }
+    };
+    out.write(action(it));
+    ForetorqueStatus::Ok
 }
 
-/// # Safety
-/// As those of `foretorque_disarm`.
-pub(crate) unsafe fn act(
-    it: *mut Foretorque,
+pub(crate) fn act(
+    it: Option<&mut Foretorque>,
     action: impl FnOnce(&mut Foretorque),
 ) -> ForetorqueStatus {
-    // SAFETY: null or from `foretorque_init`, and not shared meanwhile.
-    match unsafe { it.as_mut() } {
-        Some(it) => {
-            action(it);
-            ForetorqueStatus::Ok
-        }
-        None => ForetorqueStatus::Null,
-    }
+    answer(it, Some(&mut MaybeUninit::uninit()), action)
 }

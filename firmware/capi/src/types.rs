@@ -1,5 +1,7 @@
 //! Types that pass between C and the library.
 
+use core::mem::MaybeUninit;
+
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
 use foretorque::learning::{Decision, ModelQuality};
 
@@ -61,8 +63,9 @@ impl ForetorqueSample {
     /// The sample at `place`; fields that are not to be read may be uninitialised.
     ///
     /// # Safety
-    /// `place` is aligned, and the fields of the desired motion, `measured` and those that it announces may be read.
-    pub(crate) unsafe fn read(place: *const Self) -> JointSample<JOINTS> {
+    /// The fields of the desired motion, `measured` and those that it announces may be read.
+    pub(crate) unsafe fn read(place: &MaybeUninit<Self>) -> JointSample<JOINTS> {
+        let place = place.as_ptr();
         // SAFETY: field by field, as the caller promises.
         unsafe {
             let vector = |field: *const [f32; JOINTS]| field.read().into();

@@ -20,46 +20,45 @@ const TIMEOUT_S: &str = "60";
 
 /// An arm in the memory of a C program.
 struct Program {
-    it: *mut Foretorque,
-    _memory: Vec<MaybeUninit<u64>>,
+    arm: &'static mut Foretorque,
 }
 
 impl Program {
     fn new() -> Self {
-        let mut memory = vec![MaybeUninit::uninit(); foretorque_size().div_ceil(8)];
-        let mut it = ptr::null_mut();
+        let memory = vec![MaybeUninit::<u64>::uninit(); foretorque_size().div_ceil(8)].leak();
         let (place, size) = (memory.as_mut_ptr().cast(), 8 * memory.len());
-        // SAFETY: the memory is large enough, aligned and outlives the program.
-        let made = unsafe { foretorque_init(place, size, 1e-3, &raw mut it) };
-        assert_eq!(made, ForetorqueStatus::Ok);
-        let _memory = memory;
-        Self { it, _memory }
+        let mut arm = MaybeUninit::uninit();
+        // SAFETY: the memory is large enough, aligned and never freed; the pointer is written where the call succeeds.
+        let arm = unsafe {
+            let made = foretorque_init(place, size, 1e-3, Some(&mut arm));
+            assert_eq!(made, ForetorqueStatus::Ok);
+            &mut *arm.assume_init()
+        };
+        Self { arm }
+    }
+
+    fn it(&mut self) -> Option<&mut Foretorque> {
+        Some(&mut *self.arm)
     }
 
     /// One tick with a still sample, or with none.
     fn tick(&mut self, q: Option<f32>, measured: u8) -> ForetorqueTorque {
+        let q_rad = [q.unwrap_or_default(); FORETORQUE_JOINTS];
+        let still = [0.0; FORETORQUE_JOINTS];
         let mut sample = MaybeUninit::<ForetorqueSample>::uninit();
         let place = sample.as_mut_ptr();
-        let mut out = MaybeUninit::uninit();
         // SAFETY: fields are written before they are read; measured ones only where they are to be.
         unsafe {
-            let q_rad = [q.unwrap_or_default(); FORETORQUE_JOINTS];
             (&raw mut (*place).q_rad).write(q_rad);
-            (&raw mut (*place).qd_rad_s).write([0.0; FORETORQUE_JOINTS]);
-            (&raw mut (*place).qdd_rad_s2).write([0.0; FORETORQUE_JOINTS]);
+            (&raw mut (*place).qd_rad_s).write(still);
+            (&raw mut (*place).qdd_rad_s2).write(still);
             (&raw mut (*place).measured).write(measured);
             if measured != 0 {
                 (&raw mut (*place).measured_q_rad).write(q_rad);
-                (&raw mut (*place).measured_tau_nm).write([0.0; FORETORQUE_JOINTS]);
+                (&raw mut (*place).measured_tau_nm).write(still);
             }
-            let given = if q.is_some() {
-                place.cast_const()
-            } else {
-                ptr::null()
-            };
-            let status = foretorque_tick(self.it, given, out.as_mut_ptr());
-            assert_eq!(status, ForetorqueStatus::Ok);
-            out.assume_init()
+            let given = q.map(|_| &sample);
+            self.written(|it, out| foretorque_tick(it, given, out))
         }
     }
 
@@ -79,69 +78,72 @@ impl Program {
             sample.measured_tau_nm[joint] = 20.0 * cos;
         }
         sample.measured_q_rad = sample.q_rad;
-        let mut out = MaybeUninit::uninit();
-        // SAFETY: `it` lives, and both other pointers are those of variables.
-        unsafe {
-            foretorque_tick(self.it, &raw const sample, out.as_mut_ptr());
-            foretorque_learn(self.it);
-        }
+        let sample = MaybeUninit::new(sample);
+        // SAFETY: the sample is initialised.
+        self.written(|it, out| unsafe { foretorque_tick(it, Some(&sample), out) });
+        foretorque_learn(self.it());
     }
 
     fn arm(&mut self) -> SafetyReason {
-        let mut reason = 255;
-        // SAFETY: both pointers are those of variables.
-        let status = unsafe { foretorque_arm(self.it, &raw mut reason) };
+        let mut reason = MaybeUninit::new(255);
+        let status = foretorque_arm(self.it(), Some(&mut reason));
+        // SAFETY: initialised above.
+        let reason = unsafe { reason.assume_init() };
         assert_eq!(status == ForetorqueStatus::Ok, reason == 0);
         SafetyReason::from_code(reason)
     }
 
     /// Output of `call`.
     fn written<T>(
-        &self,
-        call: unsafe extern "C" fn(*mut Foretorque, *mut T) -> ForetorqueStatus,
+        &mut self,
+        call: impl FnOnce(Option<&mut Foretorque>, Option<&mut MaybeUninit<T>>) -> ForetorqueStatus,
     ) -> T {
         let mut out = MaybeUninit::uninit();
-        // SAFETY: written before it is read.
-        unsafe {
-            assert_eq!(call(self.it, out.as_mut_ptr()), ForetorqueStatus::Ok);
-            out.assume_init()
-        }
+        assert_eq!(call(self.it(), Some(&mut out)), ForetorqueStatus::Ok);
+        // SAFETY: a call that succeeds has written it.
+        unsafe { out.assume_init() }
     }
 
     /// Bytes of the bank in force.
-    fn bank(&self) -> Vec<u8> {
-        let (mut bank, mut length) = (vec![0_u8; FORETORQUE_BANK_BYTES], 0);
-        // SAFETY: `it` lives; every other pointer is to a variable.
-        let saved = unsafe {
-            foretorque_save_bank(self.it, bank.as_mut_ptr(), bank.len(), &raw mut length)
-        };
-        assert_eq!(saved, ForetorqueStatus::Ok);
+    fn bank(&mut self) -> Vec<u8> {
+        let mut bank = vec![0_u8; FORETORQUE_BANK_BYTES];
+        let (buffer, size) = (bank.as_mut_ptr(), bank.len());
+        // SAFETY: the buffer has `size` bytes.
+        let length =
+            self.written(|it, length| unsafe { foretorque_save_bank(it, buffer, size, length) });
         bank.truncate(length);
         bank
     }
 
-    fn safety(&self) -> ForetorqueSafety {
-        self.written(foretorque_safety)
+    fn load(&mut self, bank: &[u8]) -> ForetorqueStatus {
+        // SAFETY: the bytes are as many.
+        unsafe { foretorque_load_bank(self.it(), bank.as_ptr(), bank.len()) }
+    }
+
+    fn safety(&mut self) -> ForetorqueSafety {
+        self.written(|it, out| foretorque_safety(it, out))
+    }
+
+    fn quality(&mut self) -> ForetorqueQuality {
+        self.written(|it, out| foretorque_quality(it, out))
     }
 
     /// Decision `number`, where it is made and kept.
-    fn decision(&self, number: u32) -> Option<ForetorqueDecision> {
+    fn decision(&mut self, number: u32) -> Option<ForetorqueDecision> {
         let mut out = MaybeUninit::uninit();
-        // SAFETY: `it` lives; written before it is read.
-        unsafe {
-            match foretorque_decision(self.it, number, out.as_mut_ptr()) {
-                ForetorqueStatus::Ok => Some(out.assume_init()),
-                status => {
-                    assert_eq!(status, ForetorqueStatus::NoDecision);
-                    None
-                }
+        match foretorque_decision(self.it(), number, Some(&mut out)) {
+            // SAFETY: a call that succeeds has written it.
+            ForetorqueStatus::Ok => Some(unsafe { out.assume_init() }),
+            status => {
+                assert_eq!(status, ForetorqueStatus::NoDecision);
+                None
             }
         }
     }
 
     /// The newest decision for `reason`.
-    fn decided(&self, reason: Reason) -> Option<ForetorqueDecision> {
-        let made = (0..self.written(foretorque_quality).decisions).rev();
+    fn decided(&mut self, reason: Reason) -> Option<ForetorqueDecision> {
+        let made = (0..self.quality().decisions).rev();
         let mut kept = made.filter_map(|number| self.decision(number));
         kept.find(|decision| decision.reason == reason as u8)
     }
@@ -175,15 +177,13 @@ fn torque_needs_fresh_samples_and_arming() {
     let safety = program.safety();
     assert_eq!(safety.state, SafetyState::Armed as u8);
     assert_eq!(safety.enabled, 1);
-    // SAFETY: `it` lives.
-    let status = unsafe { foretorque_load_bank(program.it, [0].as_ptr(), 1) };
-    assert_eq!(status, ForetorqueStatus::Armed);
+    assert_eq!(program.load(&[0]), ForetorqueStatus::Armed);
 }
 
 #[test]
 fn a_time_out_ramps_within_the_limits_and_only_arming_brings_torque_back() {
     let mut program = Program::armed();
-    let limits = program.written(foretorque_limits);
+    let limits = program.written(|it, out| foretorque_limits(it, out));
     assert_eq!((limits.timeout_ticks, limits.measurement_ticks), (51, 101));
     let mut before = program.tick(Some(0.0), 1).total_nm;
     for k in 1..=60 {
@@ -203,42 +203,38 @@ fn a_time_out_ramps_within_the_limits_and_only_arming_brings_torque_back() {
 
 #[test]
 fn a_stop_is_immediate_and_a_brake_gets_its_time() {
+    use ForetorqueStatus::{Armed, Joint, Null, Ok};
     let mut program = Program::armed();
-    // SAFETY: `it` lives in all these calls.
-    unsafe {
-        use ForetorqueStatus::{Armed, Joint, Null, Ok};
-        assert_eq!(foretorque_set_brake(program.it, 100_000), Armed);
-        foretorque_stop(program.it, 0);
-        let safety = program.safety();
-        let stopped = SafetyReason::Stopped.code();
-        assert_eq!((safety.enabled, safety.latched), (0, stopped));
-        assert_eq!(program.tick(Some(0.0), 1).total_nm, NO_TORQUE);
-        assert_eq!(program.arm(), SafetyReason::Stopped);
-        let mut reason = 255;
-        assert_eq!(foretorque_clear_fault(program.it, &raw mut reason), Ok);
-        assert_eq!(foretorque_set_brake(program.it, 100_000), Ok);
-        program.start();
-        assert_eq!(program.safety().brake_released, 1);
-        foretorque_disarm(program.it);
-        let mut held = 0;
-        while program.safety().enabled == 1 {
-            assert_eq!(program.safety().brake_released, 0);
-            held += u32::from(program.tick(None, 0).total_nm[1].abs() > 30.0);
-        }
-        assert!((98..=106).contains(&held), "{held}");
-        let beyond = FORETORQUE_JOINTS as u32;
-        assert_eq!(foretorque_temperature(program.it, beyond, 101), Joint);
-        assert_eq!(foretorque_temperature(program.it, 2, 101), Ok);
-        (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
-        assert_eq!(program.arm(), SafetyReason::MotorHot);
-        assert_eq!(foretorque_disarm(ptr::null_mut()), Null);
+    assert_eq!(foretorque_set_brake(program.it(), 100_000), Armed);
+    foretorque_stop(program.it(), 0);
+    let safety = program.safety();
+    let stopped = SafetyReason::Stopped.code();
+    assert_eq!((safety.enabled, safety.latched), (0, stopped));
+    assert_eq!(program.tick(Some(0.0), 1).total_nm, NO_TORQUE);
+    assert_eq!(program.arm(), SafetyReason::Stopped);
+    program.written(|it, out| foretorque_clear_fault(it, out));
+    assert_eq!(foretorque_set_brake(program.it(), 100_000), Ok);
+    program.start();
+    assert_eq!(program.safety().brake_released, 1);
+    foretorque_disarm(program.it());
+    let mut held = 0;
+    while program.safety().enabled == 1 {
+        assert_eq!(program.safety().brake_released, 0);
+        held += u32::from(program.tick(None, 0).total_nm[1].abs() > 30.0);
     }
+    assert!((98..=106).contains(&held), "{held}");
+    let beyond = FORETORQUE_JOINTS as u32;
+    assert_eq!(foretorque_temperature(program.it(), beyond, 101), Joint);
+    assert_eq!(foretorque_temperature(program.it(), 2, 101), Ok);
+    (0..3).for_each(|_| _ = program.tick(Some(0.0), 1));
+    assert_eq!(program.arm(), SafetyReason::MotorHot);
+    assert_eq!(foretorque_disarm(None), Null);
 }
 
 /// A load of the saved bank, its parameters times `factor`.
 #[test]
 fn a_bank_that_no_board_takes_is_refused() {
-    let program = Program::new();
+    let mut program = Program::new();
     let saved = program.bank();
     for (factor, status) in [(1.1, ForetorqueStatus::Ok), (-3.0, ForetorqueStatus::Bank)] {
         let mut bank = ParameterBank::empty();
@@ -246,9 +242,7 @@ fn a_bank_that_no_board_takes_is_refused() {
         bank.columns.iter_mut().for_each(|it| it.value *= factor);
         let mut buffer = [0; ParameterBank::MAX_BYTES];
         let bytes = bank.encode(&mut buffer).expect("it has room");
-        // SAFETY: `it` lives, and the bytes are as many.
-        let loaded = unsafe { foretorque_load_bank(program.it, bytes.as_ptr(), bytes.len()) };
-        assert_eq!(loaded, status, "{factor}");
+        assert_eq!(program.load(bytes), status, "{factor}");
     }
 }
 
@@ -263,9 +257,8 @@ fn a_stop_latches_a_fault_and_nothing_else() {
         (Image.code(), Stopped),
         (99, Stopped),
     ] {
-        let program = Program::armed();
-        // SAFETY: `it` lives.
-        unsafe { foretorque_stop(program.it, code) };
+        let mut program = Program::armed();
+        foretorque_stop(program.it(), code);
         assert_eq!(program.safety().latched, latched.code(), "{code}");
     }
 }
@@ -274,11 +267,8 @@ fn a_stop_latches_a_fault_and_nothing_else() {
 fn an_emergency_stop_ends_learning_too() {
     for (reason, learns) in [(3, false), (13, true)] {
         let mut program = Program::armed();
-        // SAFETY: `it` lives.
-        unsafe {
-            foretorque_set_learning(program.it, 1);
-            foretorque_stop(program.it, reason);
-        }
+        foretorque_set_learning(program.it(), 1);
+        foretorque_stop(program.it(), reason);
         let before = program.bank();
         let mut changed = false;
         for tick in 0..10_000 {
@@ -293,12 +283,9 @@ fn an_emergency_stop_ends_learning_too() {
 fn an_emergency_stop_replaces_a_request_that_waits() {
     for (reason, taken) in [(3, false), (13, true)] {
         let mut program = Program::armed();
-        let it = program.it;
-        // SAFETY: `it` lives.
-        unsafe {
-            assert_eq!(foretorque_request(it, 1), ForetorqueStatus::Ok);
-            foretorque_stop(it, reason);
-        }
+        let asked = foretorque_request(program.it(), 1);
+        assert_eq!(asked, ForetorqueStatus::Ok);
+        foretorque_stop(program.it(), reason);
         (0..100).for_each(|tick| program.swing(tick));
         let snapshot = program.decided(Reason::SnapshotTaken);
         assert_eq!(snapshot.is_some(), taken, "reason {reason}");
@@ -309,37 +296,33 @@ fn an_emergency_stop_replaces_a_request_that_waits() {
 fn the_learner_reports_its_state_and_takes_requests() {
     use ForetorqueStatus::{Null, Ok, Pending, Request};
     let mut program = Program::new();
-    let fresh = program.written(foretorque_quality);
+    let fresh = program.quality();
     assert_eq!((fresh.trust, fresh.payload_kg), (1.0, 0.0));
     assert_eq!(fresh.decisions, 0);
-    let it = program.it;
-    // SAFETY: `it` lives in all these calls.
-    unsafe {
-        foretorque_set_learning(it, 1);
-        (0..1000).for_each(|tick| program.swing(tick));
-        for (request, wanted) in [
-            (0, Request),
-            (5, Request),
-            (6, Request),
-            (1, Ok),
-            (2, Pending),
-        ] {
-            assert_eq!(foretorque_request(it, request), wanted, "{request}");
-        }
-        assert_eq!(foretorque_request(ptr::null_mut(), 1), Null);
-        (1000..1100).for_each(|tick| program.swing(tick));
-        assert_eq!(foretorque_request(it, 2), Ok);
-        (1100..1200).for_each(|tick| program.swing(tick));
+    foretorque_set_learning(program.it(), 1);
+    (0..1000).for_each(|tick| program.swing(tick));
+    for (request, wanted) in [
+        (0, Request),
+        (5, Request),
+        (6, Request),
+        (1, Ok),
+        (2, Pending),
+    ] {
+        let asked = foretorque_request(program.it(), request);
+        assert_eq!(asked, wanted, "{request}");
     }
-    let quality = program.written(foretorque_quality);
+    assert_eq!(foretorque_request(None, 1), Null);
+    (1000..1100).for_each(|tick| program.swing(tick));
+    assert_eq!(foretorque_request(program.it(), 2), Ok);
+    (1100..1200).for_each(|tick| program.swing(tick));
+    let quality = program.quality();
     assert!(quality.residual_rms[1] > 0.0 && quality.information > 0.0);
     for reason in [Reason::SnapshotTaken, Reason::RolledBack] {
         let joint = program.decided(reason).map(|made| made.joint);
         assert_eq!(joint, Some(255), "{reason:?}");
     }
     assert!(program.decision(quality.decisions).is_none());
-    // SAFETY: null is what is tried.
-    assert_eq!(unsafe { foretorque_decision(it, 0, ptr::null_mut()) }, Null);
+    assert_eq!(foretorque_decision(program.it(), 0, None), Null);
 }
 
 /// The numbers of main.c.
@@ -371,30 +354,27 @@ fn line(values: &[f32]) -> String {
 
 /// The computation of main.c on the host.
 fn native() -> Vec<String> {
-    let program = Program::new();
-    let it = program.it;
+    let mut program = Program::new();
     let mut sample = ForetorqueSample::default();
-    let mut torque = ForetorqueTorque::default();
+    let step = |program: &mut Program, sample: Option<ForetorqueSample>| {
+        let sample = sample.map(MaybeUninit::new);
+        // SAFETY: the sample is initialised.
+        program.written(|it, out| unsafe { foretorque_step(it, sample.as_ref(), out) })
+    };
     let mut numbers = Numbers(1);
     let mut lines = Vec::new();
-    // SAFETY: `it` lives; every other pointer is to a variable.
-    unsafe {
-        foretorque_set_learning(it, 1);
-        for tick in 0..TICKS {
-            numbers.fill(&mut sample, tick);
-            let lost = tick % 10 == 9;
-            let given = if lost { ptr::null() } else { &raw const sample };
-            foretorque_step(it, given, &raw mut torque);
-            lines.push(line(&torque.total_nm));
-            foretorque_learn(it);
-        }
-        foretorque_set_learning(it, 0);
-        let bank = program.bank();
-        let loaded = foretorque_load_bank(it, bank.as_ptr(), bank.len());
-        assert_eq!(loaded, ForetorqueStatus::Ok);
-        foretorque_step(it, &raw const sample, &raw mut torque);
+    foretorque_set_learning(program.it(), 1);
+    for tick in 0..TICKS {
+        numbers.fill(&mut sample, tick);
+        let lost = tick % 10 == 9;
+        let torque = step(&mut program, (!lost).then_some(sample));
+        lines.push(line(&torque.total_nm));
+        foretorque_learn(program.it());
     }
-    lines.push(line(&torque.rigid_nm));
+    foretorque_set_learning(program.it(), 0);
+    let bank = program.bank();
+    assert_eq!(program.load(&bank), ForetorqueStatus::Ok);
+    lines.push(line(&step(&mut program, Some(sample)).rigid_nm));
     lines
 }
 
@@ -434,36 +414,39 @@ fn the_c_program_gives_the_same_bits_as_the_library_here() {
 
 #[test]
 fn bad_calls_are_answered_and_change_nothing() {
+    use ForetorqueStatus::{Bank, LearningOn, Misaligned, Null, Period, TooSmall};
     let mut memory = vec![0_u64; foretorque_size().div_ceil(8)];
-    let size = 8 * memory.len();
+    let whole = 8 * memory.len();
     let place: *mut core::ffi::c_void = memory.as_mut_ptr().cast();
-    let mut it = ptr::null_mut();
-    // SAFETY: as above; the null pointers are what is tried.
-    unsafe {
-        use ForetorqueStatus::{Bank, LearningOn, Misaligned, Null, Ok, Period, TooSmall};
-        let nowhere = ptr::null_mut();
-        assert_eq!(foretorque_init(nowhere, size, 1e-3, &raw mut it), Null);
-        assert_eq!(foretorque_init(place, size, 1e-3, ptr::null_mut()), Null);
-        assert_eq!(foretorque_init(place, 100, 1e-3, &raw mut it), TooSmall);
-        let odd = place.byte_add(1);
-        assert_eq!(foretorque_init(odd, size, 1e-3, &raw mut it), Misaligned);
-        for period in [0.0, -1.0, 1e-9, 1.0, f32::INFINITY, f32::NAN] {
-            assert_eq!(foretorque_init(place, size, period, &raw mut it), Period);
-        }
-        assert!(it.is_null());
-        assert_eq!(foretorque_init(place, size, 1e-3, &raw mut it), Ok);
-        let junk = [1_u8; 64];
-        assert_eq!(foretorque_load_bank(it, junk.as_ptr(), junk.len()), Bank);
-        assert_eq!(foretorque_load_bank(it, ptr::null(), 0), Null);
-        foretorque_set_learning(it, 1);
-        let refused = foretorque_load_bank(it, junk.as_ptr(), junk.len());
-        assert_eq!(refused, LearningOn);
-        let (mut buffer, mut length) = ([0_u8; 16], 0);
-        let saved = foretorque_save_bank(it, buffer.as_mut_ptr(), buffer.len(), &raw mut length);
-        assert_eq!((saved, length), (TooSmall, 0));
-        assert_eq!(foretorque_learn(ptr::null_mut()), Null);
-        assert_eq!(foretorque_step(it, ptr::null(), ptr::null_mut()), Null);
+    let mut it = MaybeUninit::new(ptr::null_mut());
+    // SAFETY: of the memory no more is used than there is.
+    let mut init = |place, size, period, out: bool| unsafe {
+        foretorque_init(place, size, period, out.then_some(&mut it))
+    };
+    assert_eq!(init(ptr::null_mut(), whole, 1e-3, true), Null);
+    assert_eq!(init(place, whole, 1e-3, false), Null);
+    assert_eq!(init(place, 100, 1e-3, true), TooSmall);
+    let odd = place.wrapping_byte_add(1);
+    assert_eq!(init(odd, whole, 1e-3, true), Misaligned);
+    for period in [0.0, -1.0, 1e-9, 1.0, f32::INFINITY, f32::NAN] {
+        assert_eq!(init(place, whole, period, true), Period);
     }
+    // SAFETY: initialised above.
+    assert!(unsafe { it.assume_init() }.is_null());
+    let mut program = Program::new();
+    let junk = [1_u8; 64];
+    assert_eq!(program.load(&junk), Bank);
+    foretorque_set_learning(program.it(), 1);
+    assert_eq!(program.load(&junk), LearningOn);
+    let (mut buffer, mut length) = ([0_u8; 16], MaybeUninit::new(0));
+    // SAFETY: the buffer has 16 bytes, and the length is initialised; null is what is tried.
+    unsafe {
+        let saved = foretorque_save_bank(program.it(), buffer.as_mut_ptr(), 16, Some(&mut length));
+        assert_eq!((saved, length.assume_init()), (TooSmall, 0));
+        assert_eq!(foretorque_load_bank(program.it(), ptr::null(), 0), Null);
+        assert_eq!(foretorque_step(program.it(), None, None), Null);
+    }
+    assert_eq!(foretorque_learn(None), Null);
 }
 
 #[test]
