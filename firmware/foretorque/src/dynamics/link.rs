@@ -89,7 +89,6 @@ pub fn is_angle(q: f32) -> bool {
 pub struct Angles<const N: usize>(pub(super) [SinCos; N]);
 
 impl<const N: usize> Angles<N> {
-    /// All angles zero.
     pub(super) const ZERO: Self = Self([SinCos { sin: 0.0, cos: 1.0 }; N]);
 
     /// Angles `q`, N × rad; `None` if one is not a number or beyond ±1000 rad.
@@ -121,7 +120,6 @@ impl<const N: usize> Angles<N> {
 pub(super) trait JointAngles {
     /// The angle of `joint` is one.
     fn is_angle(&self, joint: usize) -> bool;
-    /// Its sine and cosine.
     fn pair(&self, joint: usize) -> SinCos;
 }
 

@@ -15,7 +15,6 @@ enum Kind {
     Any,
 }
 
-/// A scalar.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Term {
     value: f32,
@@ -117,7 +116,6 @@ impl Mul for Term {
     }
 }
 
-/// A vector of three terms.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Vector(pub(super) [Term; 3]);
 

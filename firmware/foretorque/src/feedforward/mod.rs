@@ -122,7 +122,6 @@ pub struct Torque<const N: usize> {
 }
 
 impl<const N: usize> Torque<N> {
-    /// No torque, before the first tick.
     fn zero() -> Self {
         Self {
             total: JointVector::zeros(),

@@ -24,7 +24,6 @@ pub(super) struct Difference<const N: usize, const P: usize> {
 }
 
 impl<const N: usize, const P: usize> Difference<N, P> {
-    /// No difference.
     pub(super) fn none() -> Self {
         Self {
             rigid: BaseParameters::zeros(),
@@ -70,7 +69,6 @@ pub(super) struct LearntRange<const N: usize> {
 }
 
 impl<const N: usize> LearntRange<N> {
-    /// Empty range.
     pub(super) const fn none() -> Self {
         Self {
             motion: MotionRange::NONE,
@@ -135,7 +133,6 @@ pub(super) struct TickMotion<const N: usize> {
 }
 
 impl<const N: usize> TickMotion<N> {
-    /// At rest.
     pub(super) const fn zero() -> Self {
         Self {
             desired: JointMotion::zero(),

@@ -45,7 +45,6 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
     pub(super) stale_ticks: u32,
     /// Number of the last load.
     pub(super) generation: u32,
-    /// Requests made to the learner.
     pub(super) requests: u32,
     /// Rounds to come in which no set is due yet.
     pub(super) rounds_without_set: u32,
@@ -55,7 +54,6 @@ pub struct FeedForwardState<const N: usize, const P: usize> {
 /// Progress of a commit, by which the active set becomes the committed one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Committing {
-    /// No commit.
     No,
     /// Waits for a tick with a sample, which compares the two sets.
     Compare,

@@ -23,7 +23,6 @@ pub(super) struct BlockAverage<const N: usize> {
 }
 
 impl<const N: usize> BlockAverage<N> {
-    /// Empty block.
     pub(super) const fn new() -> Self {
         Self {
             block: Block {
@@ -35,7 +34,6 @@ impl<const N: usize> BlockAverage<N> {
         }
     }
 
-    /// Discard the ticks of an incomplete block.
     pub(super) fn reset(&mut self) {
         *self = Self::new();
     }
@@ -91,7 +89,6 @@ pub(super) struct ChangeDetector<const N: usize> {
 }
 
 impl<const N: usize> ChangeDetector<N> {
-    /// Detector with zero sums.
     pub(super) const fn new() -> Self {
         Self {
             up: [0.0; N],

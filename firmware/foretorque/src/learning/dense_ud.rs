@@ -4,7 +4,6 @@
 /// block structure of an arm, ordered for speed and compensated for millions of rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct DenseUdFilter<const K: usize> {
-    /// Estimate.
     pub(super) theta: [f32; K],
     /// U by columns; the unit diagonal is not stored.
     upper: [[f32; K]; K],

@@ -3,8 +3,7 @@ mod noise;
 
 use super::conditioning::ConditionedSample;
 use super::config::LearnerConfig;
-use super::parameters::StartDeviations;
-use super::parameters::{JointEntries, LinearParameters, ParameterSet};
+use super::parameters::{JointEntries, LinearParameters, ParameterSet, StartDeviations};
 use super::prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 use super::ud::UdFilter;
 use crate::arm::Arm;
@@ -90,7 +89,6 @@ pub struct Estimator<const N: usize, const P: usize> {
     variance: [f32; N],
     /// Rows behind each variance; a row counts by the part of its innovation variance that is noise.
     effective_rows: [f32; N],
-    /// Correlation of the rows of each joint.
     correlation: [NoiseCorrelation; N],
     /// Place in [`RANDOM_WALK_COLUMNS`] of the process noise with the next row of each joint.
     random_walk_turn: [usize; N],

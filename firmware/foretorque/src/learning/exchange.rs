@@ -1,6 +1,5 @@
 use super::decision::DecisionLog;
-use super::parameters::ParameterSet;
-use super::parameters::StartDeviations;
+use super::parameters::{ParameterSet, StartDeviations};
 use super::quality::ModelQuality;
 use super::shares::LearntShare;
 use crate::dynamics::BaseParameters;

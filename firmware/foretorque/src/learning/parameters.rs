@@ -124,7 +124,6 @@ impl<const N: usize, const P: usize> LinearParameters<N, P> {
         [self.friction.as_flattened(), &self.rigid]
     }
 
-    /// Mutable [`parts`](Self::parts).
     pub(super) fn parts_mut(&mut self) -> [&mut [f32]; 2] {
         [self.friction.as_flattened_mut(), &mut self.rigid]
     }

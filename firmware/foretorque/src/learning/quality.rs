@@ -99,9 +99,7 @@ const TRUST_ROWS: f32 = 16.0;
 /// One row of a joint under the active set, in units of the joint's torque limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Observation {
-    /// Measured torque.
     pub(super) measured: f32,
-    /// Residual of the active set.
     pub(super) residual: f32,
     /// Rigid-body, friction and network share.
     pub(super) shares: [f32; 3],
@@ -129,7 +127,6 @@ pub(super) struct Monitor<const N: usize> {
 }
 
 impl<const N: usize> Monitor<N> {
-    /// Monitor without rows.
     pub(super) const fn new() -> Self {
         const EMPTY: Sums = Sums {
             weight: 0.0,

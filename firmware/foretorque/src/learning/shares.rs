@@ -86,7 +86,6 @@ const RANGE_STEP: f32 = 0.02;
 /// correlates with it by chance.
 const REVERSED: f32 = 0.1;
 
-/// Sums and ranges of one joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct JointEvidence {
     /// Σ d r
@@ -154,7 +153,6 @@ pub(super) struct ShareEvidence<const N: usize> {
 }
 
 impl<const N: usize> ShareEvidence<N> {
-    /// Evidence without rows.
     pub(super) const NONE: Self = Self {
         joints: [JointEvidence::NONE; N],
         agreement: 0.0,

@@ -70,7 +70,6 @@ struct PairedSum {
 }
 
 impl PairedSum {
-    /// Sums of zero.
     const ZERO: Self = Self {
         sum: 0.0,
         squares: 0.0,
@@ -83,7 +82,6 @@ impl PairedSum {
     }
 }
 
-/// Paired sum over blocks of rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct BlockSum {
     block: f32,
@@ -188,7 +186,6 @@ pub(super) struct NetworkTrainer<const N: usize> {
 }
 
 impl<const N: usize> NetworkTrainer<N> {
-    /// Trainer with `networks` as candidates.
     pub(super) const fn new(networks: &[JointNetwork; N]) -> Self {
         Self {
             candidate: *networks,

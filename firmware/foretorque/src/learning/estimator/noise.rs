@@ -77,7 +77,6 @@ pub(super) struct NoiseCorrelation {
 }
 
 impl NoiseCorrelation {
-    /// State before the first row.
     pub(super) const fn new() -> Self {
         Self {
             sum: 0.0,

@@ -11,8 +11,7 @@ use crate::learning::estimator::Estimator;
 use crate::learning::exchange::{
     Exchange, LearnerReport, LearningSample, MotionRange, Publication,
 };
-use crate::learning::parameters::StartDeviations;
-use crate::learning::parameters::{JointNetwork, LinearParameters, ParameterSet};
+use crate::learning::parameters::{JointNetwork, LinearParameters, ParameterSet, StartDeviations};
 use crate::learning::quality::{ModelQuality, Monitor, Phase};
 use crate::learning::shares::LearntShare;
 use crate::learning::supervisor::{Learnt, Supervisor};
@@ -386,7 +385,6 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         self.round_ticks = 0;
     }
 
-    /// State of the supervisor.
     fn phase(&self) -> Phase {
         self.report.quality.phase
     }
@@ -402,7 +400,6 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
     }
 }
 
-/// Saturating increment.
 fn increment(counter: &mut u32) {
     *counter = counter.saturating_add(1);
 }

@@ -11,7 +11,6 @@ use crate::learning::estimator::torque_row_at;
 use crate::learning::exchange::MotionRange;
 use crate::learning::parameters::{JointEntries, NETWORK_BOUND, dot, network_output};
 use crate::learning::quality::Observation;
-
 use crate::learning::trainer::{NetworkDecision, NetworkRow};
 use crate::limits::cut;
 use crate::math::sqrt;
@@ -19,7 +18,6 @@ use crate::math::sqrt;
 /// Largest growth of the learnt range by one row, rad/s and rad/s²: one encoder error is no learnt motion.
 const RANGE_STEP: (f32, f32) = (0.02, 0.2);
 
-/// Use of a row.
 enum RowOutcome {
     Accepted,
     Gated,
@@ -27,7 +25,6 @@ enum RowOutcome {
     Rejected,
 }
 
-/// Torque row of one joint with its measurement.
 struct JointRow<'a, const P: usize> {
     tick: u32,
     joint: usize,

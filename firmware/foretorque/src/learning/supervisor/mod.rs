@@ -46,7 +46,6 @@ impl<const N: usize, const P: usize> Learnt<N, P> {
     }
 }
 
-/// State of the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Supervisor<const N: usize, const P: usize> {
     pub(super) detector: ChangeDetector<N>,
@@ -65,7 +64,6 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     pub(super) block_variance: [(f32, u32); N],
     /// Rows used since the load.
     pub(super) rows: u32,
-    /// True with a payload in the torque.
     pub(super) carries_payload: bool,
     /// Checkpoint of before the payload in the torque; without one, of before the window of the payload test.
     pub(super) before_payload: Checkpoint<N, P>,
@@ -126,7 +124,6 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
         }
     }
 
-    /// Make `payload` the payload in the torque.
     #[inline(never)]
     pub(super) fn set_payload<A: Arm<N, P>>(&mut self, payload: &Payload) {
         self.payload = *payload;
@@ -180,7 +177,6 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             || self.payload_test.undecided
     }
 
-    /// Discard incomplete blocks.
     #[inline(never)]
     pub(super) fn reset_blocks(&mut self) {
         self.block_average.reset();
@@ -193,8 +189,8 @@ mod tests {
     use super::*;
     use crate::arm::ur5::{LearnerConfig, Ur5};
     use crate::joint::{JointMotion, JointVector};
-    use crate::learning::payload::payload_torque;
     use payload_test::PayloadDecision;
+    use payload_test::tests::{add_block, of_mass};
 
     type Tested = Supervisor<6, 40>;
 
@@ -202,21 +198,10 @@ mod tests {
         LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
     }
 
-    /// Two rows of every payload parameter on two joints in turn, with `carried` in the torque where the arm has `actual`;
-    /// standard deviations of a measurement and of a block, N·m.
-    fn add_rows(
-        supervisor: &mut Tested,
-        [carried, actual]: [&Payload; 2],
-        (sigma, inflated): (f32, f32),
-    ) {
-        for k in 0..2 * NO_PAYLOAD.len() {
-            let mut row = NO_PAYLOAD;
-            row[k % NO_PAYLOAD.len()] = 10.0;
-            let tau = payload_torque(actual, &row);
-            let test = &mut supervisor.payload_test;
-            let torques = [tau, tau - payload_torque(carried, &row)];
-            test.add_row(k % 2, carried, &row, torques, [sigma, inflated]);
-        }
+    /// Block with `carried` in the torque where the arm has `actual`; standard deviations of a measurement and of a block, N·m.
+    fn add_rows(supervisor: &mut Tested, payloads: [&Payload; 2], deviations: [f32; 2]) {
+        let test = &mut supervisor.payload_test;
+        add_block(test, payloads, 10.0, |_| 0.0, deviations);
     }
 
     #[test]
@@ -241,12 +226,11 @@ mod tests {
     fn evidence_for_a_body_pauses_the_estimate_until_its_mass_is_certain() {
         let config = config();
         let mut supervisor = Tested::new(&config);
-        let mut body = NO_PAYLOAD;
-        body[0] = 2.0;
+        let body = of_mass(2.0);
         // Torques whose error is ten times what they show.
         let mut paused = 0;
         let decision = (0..config.timeout_blocks).find_map(|_| {
-            add_rows(&mut supervisor, [&NO_PAYLOAD, &body], (0.1, 20.0));
+            add_rows(&mut supervisor, [&NO_PAYLOAD, &body], [0.1, 20.0]);
             let decision = supervisor.payload_test.decide(&config, false, false, 0.0);
             paused += u32::from(supervisor.pauses_estimate(&config));
             decision.filter(|decision| decision.is_change())
@@ -264,11 +248,10 @@ mod tests {
     fn a_payload_is_not_updated_while_the_hand_may_be_empty() {
         let config = config();
         let mut supervisor = Tested::new(&config);
-        let mut body = NO_PAYLOAD;
-        body[0] = 2.0;
+        let body = of_mass(2.0);
         supervisor.carries_payload = true;
         for (actual, updates) in [(body, true), (NO_PAYLOAD, false)] {
-            add_rows(&mut supervisor, [&body, &actual], (1.0, 1.0));
+            add_rows(&mut supervisor, [&body, &actual], [1.0; 2]);
             supervisor.payload_test.decide(&config, true, false, 0.0);
             assert_eq!(supervisor.updates_payload(&config), updates, "{actual:?}");
         }

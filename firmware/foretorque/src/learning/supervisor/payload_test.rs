@@ -7,7 +7,6 @@ use crate::learning::payload::{
 };
 use crate::limits::cut;
 
-/// Result of a payload test.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum PayloadDecision {
     /// The hypothesis becomes the payload in the torque.
@@ -80,7 +79,6 @@ pub(crate) struct PayloadBenefit {
 }
 
 impl PayloadBenefit {
-    /// Benefit without rows.
     pub(crate) const NONE: Self = Self {
         sum: 0.0,
         power: 0.0,
@@ -353,4 +351,4 @@ impl<const N: usize> PayloadHypothesisTest<N> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -218,7 +218,6 @@ pub(super) fn set(values: &mut [f32], index: usize, value: f32) {
     }
 }
 
-/// Entry `place` of block `block` of a row.
 #[inline(always)]
 fn entry(row: &mut [f32], block: usize, place: usize) -> Option<&mut f32> {
     row.as_chunks_mut::<ROWS>().0.get_mut(block)?.get_mut(place)

@@ -119,13 +119,10 @@ pub(crate) struct Stage {
     pub(crate) feedforward: FeedForward<Arm, JOINTS, PARAMETERS>,
     pub(crate) learning_sample: LearningSample<JOINTS>,
     pub(crate) exchange: Exchange<JOINTS, PARAMETERS>,
-    /// Not in the stage but beside it: a stage is built on the stack, and this is most of the memory.
+    // Not in the stage but beside it: a stage is built on the stack, and these are most of the memory.
     pub(crate) learner: &'static mut Learner,
-    /// Beside the stage too.
     pub(crate) link: [&'static mut Link; LINKS],
-    /// Beside the stage too.
     pub(crate) bus: [&'static mut Bus; LINKS],
-    /// Beside the stage too.
     pub(crate) paper: &'static mut Paper,
     random: Random,
 }

@@ -10,19 +10,33 @@ fn is_refused_for_residual(decision: PayloadDecision) -> bool {
     matches!(decision, PayloadDecision::Refuse(Reason::Residual, _))
 }
 
-fn of_mass(mass: f32) -> Payload {
+pub(in crate::learning::supervisor) fn of_mass(mass: f32) -> Payload {
     [mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 }
 
-/// Decision after blocks of a payload `carried`, N·m a unit, where the arm carries `actual`; one row of every
-/// parameter a block, and two in the directions of the mass, on two joints in turn.
-fn decided(carried: &Payload, actual: &Payload, noise: f32) -> (u32, PayloadDecision) {
-    let (block, decision, _) = decided_at::<2>(carried, actual, (noise, 0.1));
-    (block, decision)
+/// Block of one row of every parameter, N·m a unit, and two in the directions of the mass, on the joints in turn, with
+/// `carried` in the torque where the arm has `actual`.
+///
+/// * `noise` of the torque of each row, N·m      * `deviations` standard deviations of a measurement and of a block, N·m
+pub(in crate::learning::supervisor) fn add_block<const JOINTS: usize>(
+    test: &mut PayloadHypothesisTest<JOINTS>,
+    [carried, actual]: [&Payload; 2],
+    height: f32,
+    mut noise: impl FnMut(usize) -> f32,
+    deviations: [f32; 2],
+) {
+    for k in 0..PAYLOAD_PARAMETERS + 2 {
+        let mut row = NO_PAYLOAD;
+        row[k % PAYLOAD_PARAMETERS] = height;
+        let tau = payload_torque(actual, &row) + noise(k);
+        let torques = [tau, tau - payload_torque(carried, &row)];
+        test.add_row(k % JOINTS, carried, &row, torques, deviations);
+    }
 }
 
-/// Likewise on `JOINTS` joints, for rows of the deviation `inflated`, N·m; with the standard deviation of the mass then, kg.
-fn decided_at<const JOINTS: usize>(
+/// Decision after blocks with `carried` in the torque where the arm has `actual`, on `JOINTS` joints, for rows of the noise and
+/// of the deviation `inflated`, N·m: with their number, and the standard deviation of the mass then, kg.
+fn decided<const JOINTS: usize>(
     carried: &Payload,
     actual: &Payload,
     (noise, inflated): (f32, f32),
@@ -30,14 +44,8 @@ fn decided_at<const JOINTS: usize>(
     let config = config();
     let mut test = PayloadHypothesisTest::<JOINTS>::new(&config, carried);
     for block in 1.. {
-        for k in 0..PAYLOAD_PARAMETERS + 2 {
-            let mut row = NO_PAYLOAD;
-            row[k % PAYLOAD_PARAMETERS] = 10.0;
-            let sign = [1.0, -1.0][(block as usize + k) % 2];
-            let tau = payload_torque(actual, &row) + sign * noise;
-            let torques = [tau, tau - payload_torque(carried, &row)];
-            test.add_row(k % JOINTS, carried, &row, torques, [0.1, inflated]);
-        }
+        let noise = |k: usize| [noise, -noise][(block as usize + k) % 2];
+        add_block(&mut test, [carried, actual], 10.0, noise, [0.1, inflated]);
         let carries = *carried != NO_PAYLOAD;
         if let Some(decision) = test.decide(&config, carries, false, 0.0) {
             return (block, decision, test.filter.mass_sigma());
@@ -81,7 +89,7 @@ fn every_disturbance_has_its_decision() {
         (NO_PAYLOAD, of(light, [0.0; 3]), late, implausible(light)),
         (NO_PAYLOAD, heavy, late, implausible(heavy[0])),
     ] {
-        let (block, decision) = decided(&carried, &actual, 0.03);
+        let (block, decision, _) = decided::<2>(&carried, &actual, (0.03, 0.1));
         let near = match (decision, wanted) {
             (PayloadDecision::Refuse(a, x), PayloadDecision::Refuse(b, y)) => {
                 a == b && (x - y).abs() < 0.02 * y
@@ -95,33 +103,33 @@ fn every_disturbance_has_its_decision() {
         );
     }
     // An empty hand under noise that no payload explains, and a payload that is hardly felt.
-    let (_, released) = decided(&two, &NO_PAYLOAD, 2.0);
+    let (_, released, _) = decided::<2>(&two, &NO_PAYLOAD, (2.0, 0.1));
     assert_eq!(released, PayloadDecision::Release);
     let tiny = of(0.005, [0.0; 3]);
-    let (_, over) = decided(&tiny, &tiny, 0.03);
+    let (_, over, _) = decided::<2>(&tiny, &tiny, (0.03, 0.1));
     assert_eq!(over, PayloadDecision::Transient);
     // A disturbance that a payload explains in part.
-    let (block, decision) = decided(&NO_PAYLOAD, &two, 3.0);
+    let (block, decision, _) = decided::<2>(&NO_PAYLOAD, &two, (3.0, 0.1));
     assert!(is_refused_for_residual(decision), "{decision:?}");
     assert_eq!(block, late);
     // Evidence comes before a mass that is certain enough.
-    let (block, decision, sigma) = decided_at::<2>(&NO_PAYLOAD, &two, (0.03, 20.0));
+    let (block, decision, sigma) = decided::<2>(&NO_PAYLOAD, &two, (0.03, 20.0));
     assert_eq!(decision, PayloadDecision::Promote);
     let enough = 0.1 * two[0];
     assert!(enough > config.max_mass_sigma && (0.9 * enough..enough).contains(&sigma));
     assert!(block > 20, "{block}: {sigma} kg");
     // For a light body the limit by the rated payload is wider than a tenth of its mass.
     let light = of(1.0, [0.05; 3]);
-    let (_, _, sigma) = decided_at::<2>(&NO_PAYLOAD, &light, (0.03, 20.0));
+    let (_, _, sigma) = decided::<2>(&NO_PAYLOAD, &light, (0.03, 20.0));
     assert!((0.1..config.max_mass_sigma).contains(&sigma), "{sigma} kg");
 }
 
 #[test]
 fn a_body_that_one_joint_alone_shows_is_none() {
     let body = of_mass(2.0);
-    let (_, of_two, _) = decided_at::<2>(&NO_PAYLOAD, &body, (0.03, 0.1));
+    let (_, of_two, _) = decided::<2>(&NO_PAYLOAD, &body, (0.03, 0.1));
     assert_eq!(of_two, PayloadDecision::Promote);
-    let (_, of_one, _) = decided_at::<1>(&NO_PAYLOAD, &body, (0.03, 0.1));
+    let (_, of_one, _) = decided::<1>(&NO_PAYLOAD, &body, (0.03, 0.1));
     assert!(is_refused_for_residual(of_one), "{of_one:?}");
 }
 
@@ -179,18 +187,15 @@ fn background(
     let mut random = 1u64;
     let mut decisions = std::vec::Vec::new();
     for block in 1..blocks {
-        for k in 0..PAYLOAD_PARAMETERS + 2 {
-            let mut row = NO_PAYLOAD;
-            row[k % PAYLOAD_PARAMETERS] = height;
+        // Uniform, of the variance of a measurement.
+        let noise = |_| {
             random = random
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1);
-            // Uniform, of variance 1.
-            let noise = 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0);
-            let tau = payload_torque(&actual(block), &row) + 0.1 * noise;
-            let torques = [tau, tau - payload_torque(carried, &row)];
-            test.add_row(k % 2, carried, &row, torques, [0.1; 2]);
-        }
+            0.1 * 3.0f32.sqrt() * ((random >> 40) as f32 / (1 << 23) as f32 - 1.0)
+        };
+        let actual = actual(block);
+        add_block(&mut test, [carried, &actual], height, noise, [0.1; 2]);
         let decision = test.decide(&config, *carried != NO_PAYLOAD, false, 1.0);
         decisions.extend(decision.map(|decision| (block, decision)));
         if decision.is_some_and(PayloadDecision::is_change) {
