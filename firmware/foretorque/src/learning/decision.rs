@@ -106,9 +106,23 @@ pub struct Decision {
 /// Number of logged decisions.
 pub const DECISION_CAPACITY: usize = 8;
 
-/// Tick, reason, joint and figure of a decision; none without a reason. All-zero memory is a valid value, because boards
-/// initialise the learner's static with zeros.
-type Slot = (u32, Option<Reason>, Option<u8>, f32);
+/// Optional [`Decision`]. All-zero memory is a valid value, because boards initialise the learner's static with zeros.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Slot {
+    tick: u32,
+    reason: Option<Reason>,
+    joint: Option<u8>,
+    figure: f32,
+}
+
+impl Slot {
+    const EMPTY: Self = Self {
+        tick: 0,
+        reason: None,
+        joint: None,
+        figure: 0.0,
+    };
+}
 
 /// Ring of the newest decisions, with their number.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -121,7 +135,7 @@ impl DecisionLog {
     /// Empty log.
     pub const fn new() -> Self {
         Self {
-            ring: [(0, None, None, 0.0); DECISION_CAPACITY],
+            ring: [Slot::EMPTY; DECISION_CAPACITY],
             count: 0,
         }
     }
@@ -129,13 +143,12 @@ impl DecisionLog {
     /// Append a decision in place of the oldest.
     pub(super) fn push(&mut self, decision: Decision) {
         if let Some(slot) = self.ring.get_mut(self.count as usize % DECISION_CAPACITY) {
-            let Decision {
-                tick,
-                reason,
-                joint,
-                figure,
-            } = decision;
-            *slot = (tick, Some(reason), joint, figure);
+            *slot = Slot {
+                tick: decision.tick,
+                reason: Some(decision.reason),
+                joint: decision.joint,
+                figure: decision.figure,
+            };
         }
         self.count = self.count.wrapping_add(1);
     }
@@ -151,12 +164,12 @@ impl DecisionLog {
         if age == 0 || age > DECISION_CAPACITY as u32 {
             return None;
         }
-        let (tick, reason, joint, figure) = *self.ring.get(index as usize % DECISION_CAPACITY)?;
+        let slot = self.ring.get(index as usize % DECISION_CAPACITY)?;
         Some(Decision {
-            tick,
-            reason: reason?,
-            joint,
-            figure,
+            tick: slot.tick,
+            reason: slot.reason?,
+            joint: slot.joint,
+            figure: slot.figure,
         })
     }
 
