@@ -124,28 +124,18 @@ fn the_page_tells_logs_of_one_name_apart() {
 }
 
 #[test]
-fn a_body_picked_up_in_a_validation_log_is_named() {
-    let here = Directory::new("identify-picked");
-    log(&here.join("a.csv"), 3000, 0.0, None, 0.05);
-    let simulate = "simulate --robot ur5 --exact --trajectory validation --duration-s 12";
-    here.succeeds(format!("{simulate} --payload 4@6..12 --out b.csv"));
-    let logs = "--log a.csv --validate b.csv --columns coulomb-viscous --methods wls";
-    let (stdout, _) = identified(&here, logs);
-    assert_contains(&stdout, "warning  b.csv: torque error of joint");
-}
-
-#[test]
-fn a_load_in_one_of_two_training_logs_is_named_with_its_log() {
+fn a_load_in_one_of_the_logs_is_named_with_its_log() {
     let here = Directory::new("identify-loaded");
     log(&here.join("a.csv"), 2000, 0.0, None, 0.05);
     log(&here.join("b.csv"), 2000, 1.1, None, 0.05);
-    let loaded = planted(
-        &here.text("b.csv"),
-        each(|row| row[TAU + 2] += 12.0).as_ref(),
-    );
+    let loaded = planted(&here.text("b.csv"), each(|row| row[TAU + 2] += 12.0));
     here.write("b.csv", loaded);
-    let logs = "--log a.csv --log b.csv --columns coulomb-viscous --methods wls --force";
-    let (stdout, _) = identified(&here, logs);
+    let simulate = "simulate --robot ur5 --exact --trajectory validation --duration-s 12";
+    here.succeeds(format!("{simulate} --payload 4@6..12 --out unseen.csv"));
+    let plain = "--columns coulomb-viscous --methods wls --validate unseen.csv";
+    let (stdout, _) = identified(&here, format!("--log a.csv {plain}"));
+    assert_contains(&stdout, "warning  unseen.csv: torque error of joint");
+    let (stdout, _) = identified(&here, format!("--log a.csv --log b.csv {plain} --force"));
     assert_contains(
         &stdout,
         "warning  b.csv: torque error of joint 3 changes by",
@@ -156,7 +146,7 @@ fn a_load_in_one_of_two_training_logs_is_named_with_its_log() {
 fn a_validation_log_at_rest_is_refused_and_chooses_nothing() {
     let here = Directory::new("identify-rest");
     log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
-    let rest = planted(&here.text("train.csv"), &|rows| {
+    let rest = planted(&here.text("train.csv"), |rows| {
         let mut first = rows[0].clone();
         first[Q + N..TAU].fill(0.0);
         for row in rows {
@@ -180,7 +170,7 @@ fn warnings_on_unseen_logs_name_the_log() {
     let here = Directory::new("identify-warned");
     log(&here.join("train.csv"), 2000, 0.0, None, 0.1);
     log(&here.join("unseen.csv"), 2000, 1.1, None, 0.1);
-    let clipped = planted(&here.text("unseen.csv"), &|rows| {
+    let clipped = planted(&here.text("unseen.csv"), |rows| {
         let mut torques: Vec<f64> = rows.iter().map(|row| row[TAU + 1]).collect();
         torques.sort_by(f64::total_cmp);
         let most = torques[rows.len() * 49 / 50];
@@ -190,14 +180,21 @@ fn warnings_on_unseen_logs_name_the_log() {
     for name in ["clipped.csv", "copy.csv"] {
         here.write(name, &clipped);
     }
-    let logs = "--log train.csv --validate clipped.csv --test copy.csv --methods wls";
+    here.write("same.csv", here.text("train.csv"));
+    let unseen = "--validate clipped.csv --test copy.csv --test same.csv";
+    let logs = format!("--log train.csv {unseen} --methods wls");
     let (stdout, report) = identified(&here, format!("{logs} --motion-hz 10"));
     assert_contains(
         &stdout,
         "warning  clipped.csv: torque of joint 2 is cut off at",
     );
-    let copy = "warning  copy.csv holds what the validation log clipped.csv holds";
-    assert_contains(&stdout, copy);
+    for words in [
+        "warning  copy.csv holds what the validation log clipped.csv holds",
+        "warning  same.csv holds what the training log train.csv holds",
+        "torque error joint by joint, wls:",
+    ] {
+        assert_contains(&stdout, words);
+    }
     // The torque is filtered well below the motion, unless the user wants it otherwise.
     assert_eq!(number(&report["torque_cutoff_hz"]), 5.0);
     let (stdout, report) = identified(&here, format!("{logs} --motion-hz 10 --torque-hz 15"));
@@ -294,7 +291,7 @@ fn joints_that_are_predicted_worse_than_by_the_description_are_named() {
         here.succeeds(format!("simulate --robot ur5 {motion} --out {name}"));
         // Less than the motion of joint 3, and too little less to be told by the judgement.
         let less = each(|row| (0..3).for_each(|k| row[Q + 6 * k + 2] *= 0.8));
-        here.write(name, planted(&here.text(name), &less));
+        here.write(name, planted(&here.text(name), less));
     }
     let text = here.succeeds("identify --robot ur5 --log a.csv --validate b.csv --out out");
     assert_contains(
@@ -393,7 +390,7 @@ fn columns_absent_on_the_board_are_named_the_others_reach_it() {
 fn a_gap_splits_the_log_and_is_noted() {
     let here = Directory::new("identify-gap");
     log(&here.join("whole.csv"), 4000, 0.0, None, 0.1);
-    let cut = planted(&here.text("whole.csv"), &|rows| {
+    let cut = planted(&here.text("whole.csv"), |rows| {
         rows.drain(1499..1549);
         // The first axis is vertical, so its turn during the gap changes no torque; it is no velocity of the joint.
         rows[1499..].iter_mut().for_each(|row| row[Q] -= 3.0);
