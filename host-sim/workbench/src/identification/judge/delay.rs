@@ -34,18 +34,13 @@ pub(super) struct Delay {
     /// Averages in each of them.
     full: f64,
     /// Columns and torques of the last rows that follow one another.
-    last: VecDeque<(DVector<f64>, DVector<f64>)>,
+    last: VecDeque<DVector<f64>>,
 }
 
-/// Normal equations of some rows.
-#[derive(Clone)]
-struct Sums {
-    gram: DMatrix<f64>,
-    /// One column for each delay.
-    moments: DMatrix<f64>,
-    powers: DVector<f64>,
-    count: f64,
-}
+/// Number of averages, and products of all columns and the torques at all delays with one another.
+type Sums = (f64, DMatrix<f64>);
+
+const DELAYS: usize = 2 * TRIED + 1;
 
 /// Rows between two delays that are tried.
 fn step_rows(period_s: f64) -> usize {
@@ -55,24 +50,12 @@ fn step_rows(period_s: f64) -> usize {
 /// Rows in which a joint is fast, and was and will be for `reach` rows: at a reversal it sticks, where friction is no function
 /// of its speed, and a filter smears that over its length.
 pub(super) fn fast_rows(states: &[Motion], joint: usize, reach: usize) -> Vec<bool> {
-    let slow = states
-        .iter()
-        .map(|state| state.qd[joint].abs() <= FAST_RAD_S);
-    let slow: Vec<usize> = slow
-        .enumerate()
-        .filter(|row| row.1)
-        .map(|row| row.0)
-        .collect();
-    let near = |row: usize| {
-        let next = slow.partition_point(|slow| *slow < row);
-        let beside = [next.checked_sub(1), Some(next)];
-        let mut beside = beside
-            .into_iter()
-            .flatten()
-            .filter_map(|place| slow.get(place));
-        beside.any(|slow| slow.abs_diff(row) <= reach)
-    };
-    (0..states.len()).map(|row| !near(row)).collect()
+    let fast = states.iter();
+    let fast = fast.map(|state| state.qd[joint].abs() > FAST_RAD_S);
+    let fast: Vec<bool> = fast.collect();
+    let around = |row: usize| row.saturating_sub(reach)..fast.len().min(row + reach + 1);
+    let stays = |row| fast[around(row)].iter().all(|fast| *fast);
+    (0..fast.len()).map(stays).collect()
 }
 
 impl Delay {
@@ -88,7 +71,7 @@ impl Delay {
         let step = step_rows(period_s);
         let first = row.checked_sub(TRIED * step);
         let torque = |first: usize| -> Option<Vec<f64>> {
-            (0..=2 * TRIED).map(|k| tau_nm(first + k * step)).collect()
+            (0..DELAYS).map(|k| tau_nm(first + k * step)).collect()
         };
         let torques = first.and_then(torque).filter(|_| fast);
         let Some(torques) = torques else {
@@ -97,32 +80,29 @@ impl Delay {
         };
         let falling = qd.signum() * (-qd.abs() / FAST_RAD_S).exp();
         let more: [f64; MORE] = [1.0, falling, qd * qd.abs()];
-        let columns = DVector::from_iterator(x.len() + more.len(), x.iter().copied().chain(more));
+        let row = [x, &more, &torques].concat();
         let rows = (AVERAGED_S / (stride as f64 * period_s)).round().max(1.0);
-        self.last.push_back((columns, DVector::from_vec(torques)));
+        self.last.push_back(DVector::from_vec(row));
         if (self.last.len() as f64) < rows {
             return;
         }
-        let columns = self.last.iter().map(|row| &row.0).sum::<DVector<f64>>() / rows;
-        let torques = self.last.iter().map(|row| &row.1).sum::<DVector<f64>>() / rows;
+        let average = self.last.iter().sum::<DVector<f64>>() / rows;
         self.last.pop_front();
-        if self.sums.last().is_none_or(|last| last.count >= self.full) {
+        let last = self.sums.last();
+        if last.is_none_or(|(count, _)| *count >= self.full) {
             if self.sums.len() == 2 * PARTS {
                 self.sums = self.sums.chunks(2).filter_map(joined).collect();
                 self.full *= 2.0;
             }
             self.full = self.full.max(1.0);
-            self.sums.push(Sums::zeros(columns.len()));
+            let size = average.len();
+            self.sums.push((0.0, DMatrix::zeros(size, size)));
         }
-        let Some(sums) = self.sums.last_mut() else {
-            return;
-        };
-        // Averages overlap: so many of them are worth one.
-        let worth = 1.0 / rows;
-        sums.gram.ger(worth, &columns, &columns, 1.0);
-        sums.moments.ger(worth, &columns, &torques, 1.0);
-        sums.powers += worth * torques.component_mul(&torques);
-        sums.count += worth;
+        if let Some((count, products)) = self.sums.last_mut() {
+            // Averages overlap: so many of them are worth one.
+            products.ger(1.0 / rows, &average, &average, 1.0);
+            *count += 1.0 / rows;
+        }
     }
 
     /// Sums of all parts, or `without` one of them.
@@ -133,29 +113,20 @@ impl Delay {
     }
 }
 
-impl Sums {
-    fn zeros(columns: usize) -> Self {
-        const DELAYS: usize = 2 * TRIED + 1;
-        Self {
-            gram: DMatrix::zeros(columns, columns),
-            moments: DMatrix::zeros(columns, DELAYS),
-            powers: DVector::zeros(DELAYS),
-            count: 0.0,
-        }
-    }
-
-    /// Squares that the best parameters leave at every delay, and the number of averages beyond that of the columns.
-    fn rests(&self) -> Option<(DVector<f64>, f64)> {
-        let (unit, size) = equilibrated(&self.gram);
-        let inverse = unit.pseudo_inverse(1e-8).ok()?;
-        let rests = DVector::from_fn(self.powers.len(), |delay, _| {
-            let moment = self.moments.column(delay).component_mul(&size);
-            self.powers[delay] - moment.dot(&(&inverse * &moment))
-        });
-        let used = size.iter().filter(|size| **size > 0.0).count();
-        let free = self.count - used as f64;
-        (free > 1.0 && rests.min() > 0.0).then_some((rests, free))
-    }
+/// Squares that the best parameters leave at every delay, and the number of averages beyond that of the columns.
+fn rests((count, products): &Sums) -> Option<(DVector<f64>, f64)> {
+    let columns = products.nrows() - DELAYS;
+    let gram = products.view((0, 0), (columns, columns)).into_owned();
+    let (unit, size) = equilibrated(&gram);
+    let inverse = unit.pseudo_inverse(1e-8).ok()?;
+    let rests = DVector::from_fn(DELAYS, |delay, _| {
+        let own = products.column(columns + delay);
+        let moment = own.rows(0, columns).component_mul(&size);
+        own[columns + delay] - moment.dot(&(&inverse * &moment))
+    });
+    let used = size.iter().filter(|size| **size > 0.0).count();
+    let free = count - used as f64;
+    (free > 1.0 && rests.min() > 0.0).then_some((rests, free))
 }
 
 /// Minus the logarithm of the likelihood of every delay, up to a constant; `without` one of the parts.
@@ -169,39 +140,30 @@ fn costs(
     without: Option<usize>,
 ) -> Option<DVector<f64>> {
     let size = layout.parameters.len() + MORE * layout.joints();
-    let mut all = Sums::zeros(size);
+    let (mut all_count, mut all) = (0.0, DMatrix::zeros(size + DELAYS, size + DELAYS));
     for (joint, (delay, variance)) in delays.iter().zip(variances).enumerate() {
-        let (Some(variance), Some(own)) = (variance, delay.sums(without)) else {
+        let (Some(variance), Some((count, own))) = (variance, delay.sums(without)) else {
             continue;
         };
         let private = layout.parameters.len() + MORE * joint;
         let places = layout.active[joint].iter().copied();
-        let places: Vec<usize> = places.chain(private..private + MORE).collect();
+        let places = places.chain(private..private + MORE);
+        let places: Vec<usize> = places.chain(size..size + DELAYS).collect();
         for (a, &row) in places.iter().enumerate() {
             for (b, &column) in places.iter().enumerate() {
-                all.gram[(row, column)] += own.gram[(a, b)] / variance;
+                all[(row, column)] += own[(a, b)] / variance;
             }
-            let mut moments = all.moments.row_mut(row);
-            moments += own.moments.row(a) / *variance;
         }
-        all.powers += own.powers / *variance;
-        all.count += own.count;
+        all_count += count;
     }
-    let (rests, free) = all.rests()?;
+    let (rests, free) = rests(&(all_count, all))?;
     Some(rests.map(|rest| 0.5 * free * rest.ln()))
 }
 
 /// The sums of all `parts`.
 fn joined<'a>(parts: impl IntoIterator<Item = &'a Sums>) -> Option<Sums> {
-    let mut parts = parts.into_iter();
-    let first = parts.next()?.clone();
-    Some(parts.fold(first, |mut all, part| {
-        all.gram += &part.gram;
-        all.moments += &part.moments;
-        all.powers += &part.powers;
-        all.count += part.count;
-        all
-    }))
+    let parts = parts.into_iter().cloned();
+    parts.reduce(|(count, products), (own, part)| (count + own, products + part))
 }
 
 /// Most likely delay and its standard deviation in steps, by a parabola through the smallest cost and its neighbours.
@@ -240,7 +202,7 @@ fn scatter<'a>(joints: impl Iterator<Item = &'a (DVector<f64>, f64)>) -> f64 {
 /// Delay of the torques behind the positions, common to all joints, of rows `period_s` apart.
 pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay], period_s: f64) {
     // Of a joint alone, where it moved for long enough.
-    let alone = |delay: &Delay| delay.sums(None)?.rests().filter(|(_, free)| *free >= SURE);
+    let alone = |delay: &Delay| rests(&delay.sums(None)?).filter(|(_, free)| *free >= SURE);
     let alone: Vec<_> = delays.iter().map(alone).collect();
     let variance = |(rests, free): &(DVector<f64>, f64)| rests.min() / free;
     let variances: Vec<_> = alone
@@ -289,10 +251,7 @@ mod tests {
         let joint = |steps: f64| {
             let rest =
                 |k: usize, _: usize| (1e-3 * (k as f64 - TRIED as f64 - steps).powi(2)).exp();
-            let rests = DMatrix::from_fn(2 * TRIED + 1, 1, rest)
-                .column(0)
-                .into_owned();
-            (rests, 200.0)
+            (DVector::from_fn(DELAYS, rest), 200.0)
         };
         let of = |delays: [f64; 3]| scatter(delays.map(joint).iter());
         assert_eq!(of([4.0, 4.1, 3.9]), 1.0);
