@@ -260,31 +260,22 @@ impl Cone {
 
 /// Pseudo-inertia of a link with these standard parameters.
 fn pseudo_inertia(x: &[f64]) -> Matrix4<f64> {
-    let parameters = x.iter().take(LINK_PARAMETERS).enumerate();
-    parameters.map(|(k, x)| unit(k) * *x).sum()
+    let [m, mx, my, mz] = [x[0], x[1], x[2], x[3]];
+    let [xx, yy, zz, xy, xz, yz] = [x[4], x[5], x[6], x[7], x[8], x[9]];
+    let [sx, sy, sz] = [yy - xx + zz, xx - yy + zz, xx + yy - zz].map(|twice| 0.5 * twice);
+    Matrix4::from([
+        [sx, -xy, -xz, mx],
+        [-xy, sy, -yz, my],
+        [-xz, -yz, sz, mz],
+        [mx, my, mz, m],
+    ])
 }
 
 /// Pseudo-inertia of one unit of the standard parameter `k`.
 fn unit(k: usize) -> Matrix4<f64> {
-    let mut e = Matrix4::zeros();
-    match k {
-        0 => e[(3, 3)] = 1.0,
-        1..=3 => {
-            e[(k - 1, 3)] = 1.0;
-            e[(3, k - 1)] = 1.0;
-        }
-        4..=6 => {
-            for axis in 0..3 {
-                e[(axis, axis)] = if axis == k - 4 { -0.5 } else { 0.5 };
-            }
-        }
-        _ => {
-            let (a, b) = [(0, 1), (0, 2), (1, 2)][k - 7];
-            e[(a, b)] = -1.0;
-            e[(b, a)] = -1.0;
-        }
-    }
-    e
+    let mut x = [0.0; LINK_PARAMETERS];
+    x[k] = 1.0;
+    pseudo_inertia(&x)
 }
 
 /// The link with its second moments of mass raised to a least share of their sum.
