@@ -24,14 +24,27 @@ pub enum FrictionTerm {
 use FrictionTerm::*;
 
 impl FrictionTerm {
-    /// Symbol, as in a parameter bank, and unit of the parameter.
-    fn symbol_and_unit(self) -> (&'static str, &'static str) {
+    /// Symbol as in a parameter bank, unit of the parameter, and column set.
+    fn properties(self) -> (&'static str, &'static str, &'static str) {
         match self {
-            Board(column) => (column.properties().symbol, column.properties().unit),
-            Root => ("Fr", "N·m·(s/rad)^0.5"),
-            Cubic => ("F3", "N·m·(s/rad)^3"),
-            WarmUp => ("Fvt", "N·m/rad"),
+            Board(column) => {
+                let own = column.properties();
+                (own.symbol, own.unit, own.set)
+            }
+            Root => ("Fr", "N·m·(s/rad)^0.5", "sqrt"),
+            Cubic => ("F3", "N·m·(s/rad)^3", "cubic"),
+            WarmUp => ("Fvt", "N·m/rad", "warm-up"),
         }
+    }
+
+    /// All terms of the column sets that are `wanted`, in the order of the columns.
+    pub(super) fn of_sets(wanted: impl Fn(&str) -> bool) -> Vec<Self> {
+        let mut terms = FrictionColumn::ALL.map(Board).to_vec();
+        terms.extend([Root, Cubic, WarmUp]);
+        let set = |term: &Self| term.properties().2;
+        terms.retain(|term| wanted(set(term)));
+        terms.sort_by_key(|term| ORDER.iter().position(|name| *name == set(term)));
+        terms
     }
 
     /// Viscous or Coulomb friction, which every drive has.
@@ -49,7 +62,7 @@ const LOAD: FrictionTerm = Board(FrictionColumn::Load);
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnSet(pub(super) Vec<FrictionTerm>);
 
-/// Order of the column sets, and so of the columns.
+/// Names of the column sets in the order of the columns.
 const ORDER: [&str; 8] = [
     "coulomb-viscous",
     "offset",
@@ -61,20 +74,6 @@ const ORDER: [&str; 8] = [
     "warm-up",
 ];
 
-/// Names of the column sets with their terms: sets of the board's columns, and those of the host.
-fn sets() -> Vec<(&'static str, Vec<FrictionTerm>)> {
-    let mut sets = Vec::from(ORDER.map(|name| (name, Vec::new())));
-    let board = FrictionColumn::ALL.map(|column| (column.properties().set, Board(column)));
-    let host = [("sqrt", Root), ("cubic", Cubic), ("warm-up", WarmUp)];
-    for (set, term) in board.into_iter().chain(host) {
-        match sets.iter_mut().find(|(name, _)| *name == set) {
-            Some((_, terms)) => terms.push(term),
-            None => sets.push((set, vec![term])),
-        }
-    }
-    sets
-}
-
 impl FromStr for ColumnSet {
     type Err = Refusal;
 
@@ -82,12 +81,10 @@ impl FromStr for ColumnSet {
     fn from_str(text: &str) -> Result<Self, Refusal> {
         let mut set = Self::plain();
         for word in text.split('+').map(str::trim) {
-            let known = sets().into_iter();
-            let known = known.filter(|(name, _)| [*name, "full"].contains(&word));
-            let found: Vec<FrictionTerm> = known.flat_map(|(_, terms)| terms).collect();
+            let known = |set: &str| [set, "full"].contains(&word);
+            let found = FrictionTerm::of_sets(known);
             if found.is_empty() {
-                let names: Vec<&str> = sets().iter().map(|(name, _)| *name).collect();
-                let names = names.join(", ");
+                let names = ORDER.join(", ");
                 return Err(Refusal(format!(
                     "unknown column set '{word}': join any of {names} by '+', or take full for all"
                 )));
@@ -106,9 +103,7 @@ impl Default for ColumnSet {
     /// The columns that real arms need. Without load friction, torques of arms with much of it seem early.
     fn default() -> Self {
         let chosen = ["coulomb-viscous", "offset", "stribeck", "load"];
-        let sets = sets().into_iter();
-        let sets = sets.filter(|(name, _)| chosen.contains(name));
-        Self(sets.flat_map(|(_, terms)| terms).collect())
+        Self(FrictionTerm::of_sets(|set| chosen.contains(&set)))
     }
 }
 
@@ -126,9 +121,8 @@ impl ColumnSet {
     }
 
     fn words(&self) -> Vec<&'static str> {
-        let sets = sets().into_iter();
-        let chosen = sets.filter(|(_, terms)| terms.iter().any(|term| self.0.contains(term)));
-        chosen.map(|(name, _)| name).collect()
+        let is_there = |set: &&str| self.0.iter().any(|term| term.properties().2 == *set);
+        ORDER.into_iter().filter(is_there).collect()
     }
 }
 
@@ -241,7 +235,7 @@ impl Layout {
                 _ => true,
             });
             for &term in &shown {
-                let (symbol, unit) = term.symbol_and_unit();
+                let (symbol, unit, _) = term.properties();
                 active.push(parameters.len());
                 parameters.push(Parameter {
                     name: format!("{symbol}{}", joint + 1),
@@ -373,21 +367,13 @@ mod tests {
     #[test]
     fn cogging_of_drives_without_cycles_has_no_columns() {
         let full = "full".parse::<ColumnSet>().expect("known word");
-        let cogging = |robot: &Robot, layout: &[Parameter]| {
-            let friction = layout.iter().filter_map(|p| p.friction);
-            let cogging = friction.filter(
-                |(term, _)| matches!(term, Board(column) if COGGING_COLUMNS.contains(column)),
-            );
-            let cycles = robot.joints.iter();
-            let cycles = cycles.filter(|joint| joint.friction.cogging_cycles_rev > 0.0);
-            (cogging.count(), cycles.count())
-        };
-        let panda = Robot::load("panda").expect("built in");
-        let layout = Layout::new(&panda, &full);
-        assert_eq!(cogging(&panda, &layout.parameters), (0, 0));
-        let ur5 = Robot::load("ur5").expect("built in");
-        let layout = Layout::new(&ur5, &full);
-        assert_eq!(cogging(&ur5, &layout.parameters), (12, 6));
+        for (name, columns) in [("panda", 0), ("ur5", 12)] {
+            let layout = Layout::new(&Robot::load(name).expect("built in"), &full);
+            let terms = layout.parameters.iter().filter_map(|own| own.friction);
+            let cogging = COGGING_COLUMNS.map(Board);
+            let found = terms.filter(|(term, _)| cogging.contains(term));
+            assert_eq!(found.count(), columns, "{name}");
+        }
     }
 
     #[test]

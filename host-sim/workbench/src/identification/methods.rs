@@ -312,32 +312,27 @@ fn inertial(robot: &Robot, base: usize) -> Result<Group, IdentifyError> {
 
 /// One group for every kind of column but viscous and Coulomb friction, which every drive has.
 fn friction(robot: &Robot, layout: &Layout) -> Vec<Group> {
-    let mut kinds: Vec<FrictionTerm> = Vec::new();
-    for (kind, _) in layout.parameters.iter().filter_map(|p| p.friction) {
-        if !kind.is_plain() && !kinds.contains(&kind) {
-            kinds.push(kind);
-        }
-    }
     let group = |kind: FrictionTerm| {
-        let (mut places, mut precision) = (Vec::new(), Vec::new());
-        for (place, parameter) in layout.parameters.iter().enumerate() {
-            if let Some((_, joint)) = parameter.friction.filter(|(own, _)| *own == kind) {
-                let unit = match kind {
-                    // A share of the load already.
-                    FrictionTerm::Board(FrictionColumn::Load) => 1.0,
-                    _ => robot.joints[joint].limits.torque,
-                };
-                places.push(place);
-                precision.push((FRICTION_DEVIATION * unit).powi(-2));
-            }
-        }
-        Group {
+        let parameters = layout.parameters.iter().enumerate();
+        let own = parameters.filter_map(|(place, parameter)| {
+            let (_, joint) = parameter.friction.filter(|(own, _)| *own == kind)?;
+            let unit = match kind {
+                // A share of the load already.
+                FrictionTerm::Board(FrictionColumn::Load) => 1.0,
+                _ => robot.joints[joint].limits.torque,
+            };
+            Some((place, (FRICTION_DEVIATION * unit).powi(-2)))
+        });
+        let (places, precision): (Vec<usize>, Vec<f64>) = own.unzip();
+        (!places.is_empty()).then(|| Group {
             places,
             precision: DMatrix::from_diagonal(&DVector::from_vec(precision)),
             size: 1.0,
-        }
+        })
     };
-    kinds.into_iter().map(group).collect()
+    let kinds = FrictionTerm::of_sets(|_| true).into_iter();
+    let kinds = kinds.filter(|kind| !kind.is_plain());
+    kinds.filter_map(group).collect()
 }
 
 #[cfg(test)]
