@@ -1,6 +1,5 @@
 //! Clock of a log: rows are even, stamped on arrival, or taken at their stamps.
 
-use super::filter::median;
 use super::log::LogRow;
 
 /// A step in time of more than this many periods cuts the log; the rows lost in a shorter one, four at most, are put in.
@@ -25,15 +24,24 @@ pub(super) enum Clock {
     Stamps,
 }
 
-/// Mean period of the steps, s, from their median: steps that scatter about two lengths have their median at the edge of the
-/// shorter.
-pub(super) fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> f64 {
-    let short = steps.filter(|step_s| *step_s <= GAP_PERIODS * median_s);
+/// Step times that 5, 50 and 95 % of the rows do not exceed, s; of two rows at least.
+pub(super) fn step_times(rows: &[LogRow]) -> [f64; 3] {
+    let mut steps: Vec<f64> = steps(rows).collect();
+    steps.sort_by(f64::total_cmp);
+    [0.05, 0.5, 0.95].map(|share| steps[(share * steps.len() as f64) as usize])
+}
+
+fn steps(rows: &[LogRow]) -> impl Iterator<Item = f64> {
+    rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s)
+}
+
+/// Mean period of the rows, s, from the median of their steps: steps that scatter about two lengths have their median at the
+/// edge of the shorter.
+pub(super) fn mean_period_s(rows: &[LogRow]) -> f64 {
+    let [_, median_s, _] = step_times(rows);
+    let short = steps(rows).filter(|step_s| *step_s <= GAP_PERIODS * median_s);
     let (time_s, periods) = short.fold((0.0, 0.0), |(time_s, periods), step_s| {
-        (
-            time_s + step_s,
-            periods + (step_s / median_s).round().max(1.0),
-        )
+        (time_s + step_s, periods + whole_periods(step_s, median_s))
     });
     if periods > 0.0 {
         time_s / periods
@@ -42,38 +50,10 @@ pub(super) fn mean_period_s(steps: impl Iterator<Item = f64>, median_s: f64) -> 
     }
 }
 
-/// Step times of the first rows of a log, s.
-pub(super) struct StepTimes {
-    /// Step that 5 % of the rows do not exceed.
-    pub(super) shortest_s: f64,
-    median_s: f64,
-    /// Step that 95 % of the rows do not exceed.
-    pub(super) longest_s: f64,
-}
-
-impl StepTimes {
-    /// Step times of `rows`, two at least.
-    pub(super) fn of(rows: &[LogRow]) -> Self {
-        let mut steps: Vec<f64> = steps(rows).collect();
-        let median_s = median(&mut steps);
-        steps.sort_by(f64::total_cmp);
-        let part = |part: f64| steps[(part * steps.len() as f64) as usize];
-        Self {
-            shortest_s: part(0.05),
-            median_s,
-            longest_s: part(0.95),
-        }
-    }
-}
-
-fn steps(rows: &[LogRow]) -> impl Iterator<Item = f64> {
-    rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s)
-}
-
 /// Clock of a log and its period, s, from its first rows. Where steps are uneven, the positions decide: each lies between
 /// its neighbours by their stamps, by lost rows, or in the middle.
-pub(super) fn clock(rows: &[LogRow], times: &StepTimes) -> (Clock, f64) {
-    let (median_s, longest_s) = (times.median_s, times.longest_s);
+pub(super) fn clock(rows: &[LogRow]) -> (Clock, f64) {
+    let [_, median_s, longest_s] = step_times(rows);
     let on_arrival = || {
         let kept = || steps(rows).filter(|step_s| *step_s <= GAP_PERIODS * longest_s);
         (Clock::Arrival, kept().sum::<f64>() / kept().count() as f64)
@@ -82,7 +62,7 @@ pub(super) fn clock(rows: &[LogRow], times: &StepTimes) -> (Clock, f64) {
     if longest_s > GAP_PERIODS * median_s {
         return on_arrival();
     }
-    let period_s = mean_period_s(steps(rows), median_s);
+    let period_s = mean_period_s(rows);
     let (mut jitter, mut count, mut late, mut early) = (0.0, 0.0, 0, 0);
     for step_s in steps(rows).filter(|step_s| *step_s <= GAP_PERIODS * period_s) {
         let whole = whole_periods(step_s, period_s);
@@ -173,11 +153,7 @@ mod tests {
         }
         let (rows, log) = written(&times, &times, Some(0.0));
         assert!((log.period_s() - 11e-3).abs() < 1e-12);
-        assert!(
-            log.notes
-                .iter()
-                .any(|note| note.contains("grid of 11.00 ms"))
-        );
+        assert!(log.notes.concat().contains("grid of 11.00 ms"));
         for (k, row) in rows.iter().enumerate() {
             let (q, _) = motion(row.t_s);
             assert!((row.t_s - 11e-3 * k as f64).abs() < 1e-9);
@@ -194,7 +170,7 @@ mod tests {
         for error in [Some(0.5), None] {
             let grid = |times: &[f64]| {
                 let (_, log) = written(times, &uneven, error);
-                log.notes.iter().any(|note| note.contains("put on a grid"))
+                log.notes.concat().contains("put on a grid")
             };
             assert!(grid(&uneven), "rows at their stamps, {error:?}");
             assert!(!grid(&even), "even rows with uneven stamps, {error:?}");
@@ -215,7 +191,7 @@ mod tests {
         let note = |times: &[f64], stamps: &[f64], wanted: &str| {
             let (_, log) = written(times, stamps, None);
             assert!(log.noise[0] > 0.0);
-            log.notes.iter().any(|note| note.contains(wanted))
+            log.notes.concat().contains(wanted)
         };
         assert!(note(&moving(&stamps, 1), &stamps, "put on a grid"));
         assert!(!note(&moving(&even, 1), &stamps, "put on a grid"));
@@ -232,35 +208,33 @@ mod tests {
             uneven.push(uneven[k] + if k % 3 == 0 { 12e-3 } else { 10e-3 });
             lost.push(lost[k] + if k % 5 == 0 { 16e-3 } else { 8e-3 });
         }
-        for error in [Some(0.0), None] {
-            let (_, log) = written(&uneven, &uneven, error);
-            let mean_s = 32e-3 / 3.0;
-            assert!((log.period_s() - mean_s).abs() < 1e-4, "{}", log.period_s());
-            let (_, log) = written(&lost, &lost, error);
-            assert!(log.lost > 70, "{}", log.lost);
-            assert!((log.period_s() - 8e-3).abs() < 1e-4, "{}", log.period_s());
-        }
         // Rows of 2 ms in bursts of eight, and with delays of up to a period.
         let even: Vec<f64> = (0..400).map(|k| 2e-3 * f64::from(k)).collect();
         let burst = |(k, _): (usize, &f64)| 16e-3 * (k / 8) as f64 + 2e-5 * (k % 8) as f64;
         let delay = |(k, t): (usize, &f64)| t + 1.9e-3 * (k * 7 % 19) as f64 / 19.0;
-        let all = even.iter().enumerate();
-        for stamps in [
-            all.clone().map(burst).collect::<Vec<_>>(),
-            all.map(delay).collect(),
-        ] {
-            let (rows, log) = written(&even, &stamps, None);
-            assert_eq!((rows.len(), log.lost), (even.len(), 0));
-            assert!((log.period_s() - 2e-3).abs() < 5e-5, "{}", log.period_s());
-        }
+        let bursts: Vec<f64> = even.iter().enumerate().map(burst).collect();
+        let delays: Vec<f64> = even.iter().enumerate().map(delay).collect();
         // Even rows whose stamps are rounded to 2 ms: the median step is 10 ms.
-        let even: Vec<f64> = (0..400).map(|k| 32e-3 / 3.0 * f64::from(k)).collect();
-        let rounded: Vec<f64> = even.iter().map(|t| (t / 2e-3).round() * 2e-3).collect();
-        let (_, log) = written(&even, &rounded, None);
-        assert!(
-            (log.period_s() - 32e-3 / 3.0).abs() < 1e-4,
-            "{}",
-            log.period_s()
-        );
+        let mean_s = 32e-3 / 3.0;
+        let slow: Vec<f64> = (0..400).map(|k| mean_s * f64::from(k)).collect();
+        let rounded: Vec<f64> = slow.iter().map(|t| (t / 2e-3).round() * 2e-3).collect();
+        // Times, stamps, error of the velocities, period and its error, s, and lost rows.
+        for (times, stamps, error, [period_s, within_s], lost) in [
+            (&uneven, &uneven, Some(0.0), [mean_s, 1e-4], 0..400),
+            (&uneven, &uneven, None, [mean_s, 1e-4], 0..400),
+            (&lost, &lost, Some(0.0), [8e-3, 1e-4], 71..400),
+            (&lost, &lost, None, [8e-3, 1e-4], 71..400),
+            (&even, &bursts, None, [2e-3, 5e-5], 0..1),
+            (&even, &delays, None, [2e-3, 5e-5], 0..1),
+            (&slow, &rounded, None, [mean_s, 1e-4], 0..400),
+        ] {
+            let (rows, log) = written(times, stamps, error);
+            let found_s = log.period_s();
+            assert!((found_s - period_s).abs() < within_s, "{found_s}");
+            assert!(lost.contains(&log.lost), "{} of {lost:?}", log.lost);
+            if lost == (0..1) {
+                assert_eq!(rows.len(), times.len());
+            }
+        }
     }
 }

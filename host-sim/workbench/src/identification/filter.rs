@@ -204,17 +204,14 @@ impl Harmonics {
         for (phase, row) in table.chunks_exact_mut(self.width).enumerate() {
             for (k, own) in self.coefficients.chunks_exact(self.width).enumerate() {
                 let harmonic = k.div_ceil(2);
-                let (sin, cos) = self.turn[harmonic * phase % phases];
+                let (mut sin, mut cos) = self.turn[harmonic * phase % phases];
                 let w = TAU * harmonic as f64 / period_s;
                 let even = k % 2 == 1 || k == 0;
-                let factor = match (derivative, even) {
-                    (0, true) => cos,
-                    (0, false) => sin,
-                    (1, true) => -w * sin,
-                    (1, false) => w * cos,
-                    (_, true) => -w * w * cos,
-                    (_, false) => -w * w * sin,
-                };
+                // Each derivative is a quarter turn and a factor w.
+                for _ in 0..derivative {
+                    (sin, cos) = (cos, -sin);
+                }
+                let factor = w.powi(derivative) * if even { cos } else { sin };
                 for (value, own) in row.iter_mut().zip(own) {
                     *value += factor * own;
                 }

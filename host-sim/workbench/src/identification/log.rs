@@ -72,11 +72,7 @@ enum Time {
 }
 
 /// Columns of one quantity, and the value in SI of one unit of each.
-#[derive(Clone, Copy)]
-pub(super) struct Columns {
-    places: PerJoint<usize>,
-    scale: PerJoint<f64>,
-}
+type Columns = PerJoint<(usize, f64)>;
 
 /// Angles that continue beyond a wrap at ±π.
 struct Unwrap {
@@ -197,9 +193,9 @@ impl LogReader {
         }
         let quantity = |unit: usize, name, names: &Option<ColumnNames>| {
             let found = joint_places(&rows, name, (names.as_ref(), map.required), robot)?;
-            Ok::<_, TableError>(found.map(|(places, own)| Columns {
-                places,
-                scale: PerJoint::repeat(joints, if own { own_units } else { map_units }[unit]),
+            Ok::<_, TableError>(found.map(|(places, own)| -> Columns {
+                let units = if own { own_units } else { map_units };
+                places.map(|place| (place, units[unit]))
             }))
         };
         let q = quantity(1, ("q", "rad"), &map.q_rad)?.ok_or_else(|| rows.missing("q1_rad"))?;
@@ -215,13 +211,13 @@ impl LogReader {
             None => quantity(5, ("i", "a"), &map.i_a)?.ok_or_else(|| rows.missing("tau1_nm"))?,
         };
         if map.effort.unwrap_or(effort) != effort {
-            let name = &rows.header[tau.places[0]];
+            let name = &rows.header[tau[0].0];
             let problem = format!(
                 "column {name} is a motor current: leave out --effort, or effort in the map of columns"
             );
             return Err(TableError::at(path, None, problem));
         }
-        for (joint, scale) in tau.scale.iter_mut().enumerate() {
+        for (joint, (_, scale)) in tau.iter_mut().enumerate() {
             *scale *= match effort {
                 EffortKind::Torque => 1.0,
                 EffortKind::Current => robot.joints[joint].drive.gain.ok_or_else(|| {
@@ -247,7 +243,7 @@ impl LogReader {
                 "{}: joint {} of the description is {} there, and so on",
                 path.display(),
                 robot.joints[0].name,
-                rows.header[q.places[0]]
+                rows.header[q[0].0]
             ));
         }
         if effort == EffortKind::Current {
@@ -317,13 +313,10 @@ impl LogReader {
         };
         self.count += 1;
         let numbers = |columns: &Option<Columns>| {
-            let mut values = PerJoint::repeat(self.q.places.len(), 0.0);
-            let Some(columns) = columns else {
-                return Ok(values);
-            };
-            for (joint, value) in values.iter_mut().enumerate() {
-                let place = columns.places[joint];
-                *value = self.rows.number(place)? * columns.scale[joint];
+            let mut values = PerJoint::repeat(self.q.len(), 0.0);
+            let columns = columns.iter().flat_map(|columns| columns.iter());
+            for (value, &(place, scale)) in values.iter_mut().zip(columns) {
+                *value = self.rows.number(place)? * scale;
                 if value.abs() > LARGEST {
                     let name = &self.rows.header[place];
                     return Err(self.rows.row_error(format!(
@@ -343,7 +336,7 @@ impl LogReader {
         };
         if let Err((joint, jump)) = self.unwrap.take(t_s, &mut row.q) {
             let swapped = self.is_swapped();
-            let name = &self.rows.header[self.q.places[joint]];
+            let name = &self.rows.header[self.q[joint].0];
             let problem = match swapped {
                 true => SWAPPED.to_owned(),
                 // A jump that a joint with ends in its range cannot make, rad.
@@ -367,14 +360,14 @@ impl LogReader {
 
     /// Torques stand for the positions in the next rows.
     fn is_swapped(&mut self) -> bool {
-        let mut rough = vec![[Roughness::default(); 2]; self.q.places.len()];
+        let mut rough = vec![[Roughness::default(); 2]; self.q.len()];
         for _ in 0..BEHIND {
             if !matches!(self.rows.advance(), Ok(true)) {
                 break;
             }
             for (joint, rough) in rough.iter_mut().enumerate() {
                 for (columns, rough) in [self.q, self.tau].iter().zip(rough) {
-                    let value = self.rows.number(columns.places[joint]);
+                    let value = self.rows.number(columns[joint].0);
                     rough.add(value.unwrap_or_default());
                 }
             }

@@ -226,120 +226,61 @@ mod tests {
     fn logs_that_do_not_fit_are_refused_by_name() {
         let own = own();
         let lines: Vec<&str> = own.split_inclusive('\n').collect();
-        let foreign = own.replace("t_s", "clock_time").replace("q", "jnt_pos");
-        let foreign = foreign.replace("tau", "load_torque");
-        let cases = [
-            (
-                "headless.csv",
-                lines[1..5].concat(),
-                "headless.csv:1: no header row, 19 numbers: name the columns by --names",
-            ),
-            (
-                "marked.csv",
-                format!("# by hand\n# 2\n{}", lines[1..5].concat()),
-                "marked.csv:3: no header row, 19 numbers",
-            ),
-            (
-                "late.csv",
-                own.replace("\n1,", "\n# mark\n1,").replace("51.5", "") + "# end\n",
-                "late.csv:9: column tau6_nm",
-            ),
-            (
-                "renamed.csv",
-                format!("# by hand\n\n{}", own.replace("tau", "load")),
-                "renamed.csv:3: column tau1_nm is missing",
-            ),
-            (
-                "twice.csv",
-                [&lines[..3], &lines[2..]].concat().concat(),
-                "twice.csv:4: column t_s: 0.25 does not come after 0.25: rows that are written twice: keep one of each; coarse stamps of even rows: leave t_s out and give rate_hz",
-            ),
-            (
-                "back.csv",
-                [&lines[..1], &lines[9..], &lines[1..9]].concat().concat(),
-                "back.csv:54: column t_s: 0 does not come after 14.75: sort the rows by time, or cut the log here",
-            ),
-            (
-                "cell.csv",
-                own.replace(",51.5\n", ",\n"),
-                "cell.csv:8: column tau6_nm: \"\" is not a finite number: delete such rows: up to four in a row",
-            ),
-            (
-                "date.csv",
-                own.replace("\n1.5,", "\n2024-05-03T10:11:12.5,"),
-                "is not a finite number: write seconds, with pandas",
-            ),
-            (
-                "capitals.csv",
-                own.to_uppercase(),
-                "t_s = \"T_S\"\nq_rad = \"Q{1}_RAD\"\ntau_nm = \"TAU{1}_NM\"",
-            ),
-            (
-                "named.csv",
-                table(
-                    ["{name}_rad", "{name}_rad_s", "{name}_nm"],
-                    "t_s",
-                    ",",
-                    [1.0; 4],
-                ),
-                "t_s = \"t_s\"\nq_rad = \"{name}_rad\"\ntau_nm = \"{name}_nm\"",
-            ),
-            (
-                "untimed.csv",
-                table(
-                    ["actual_q_{0}", "actual_qd_{0}", "actual_current_{0}"],
-                    "stamp",
-                    ",",
-                    [1.0; 4],
-                ),
-                "column timestamp is missing: name it by t_s, or give",
-            ),
-            (
-                "one.csv",
-                lines[..2].concat(),
-                "one.csv: 1 rows, a motion needs 3 at least",
-            ),
-            ("none.csv", lines[0].to_owned(), "none.csv: no rows"),
-            ("empty.csv", String::new(), "empty.csv: no rows"),
-            (
-                "title.csv",
-                format!("Arm in cell 4\n{own}"),
-                "none of a known source (a title above the header must begin with #)",
-            ),
-            (
-                "huge.csv",
-                lines[..9].concat().replace("51.5", "1e300"),
-                "huge.csv:8: column tau6_nm: 1e300 is no measurement",
-            ),
-            (
-                "foreign.csv",
-                foreign,
-                "t_s = \"clock_time\"\nq_rad = \"jnt_pos{1}_rad\"\ntau_nm = \"load_torque{1}_nm\"",
-            ),
-            (
-                "other.csv",
-                own.replace("_rad,", "/position,").replace("_nm", "/effort"),
-                "the log has joints q1, q2, q3, q4, q5, q6, the robot shoulder_pan, ",
-            ),
-            (
-                "robot.parquet",
-                String::new(),
-                "robot.parquet: .parquet is not read; convert it: python3",
-            ),
-            (
-                "robot.bag",
-                String::new(),
-                "robot.bag: .bag is not read; convert it: rosbags-convert",
-            ),
-            (
-                "broken.db3",
-                "no database".to_owned(),
-                "broken.db3: no ROS 2 bag: file is not a database",
-            ),
-            ("broken.mcap", "no MCAP".to_owned(), "broken.mcap: no MCAP"),
-        ];
-        for (name, text, wanted) in cases {
-            let refused = read_text(name, &text, &ur5()).expect_err(name);
+        let named = ["{name}_rad", "{name}_rad_s", "{name}_nm"];
+        let rtde = ["actual_q_{0}", "actual_qd_{0}", "actual_current_{0}"];
+        let text_of = |name: &str| match name {
+            "headless.csv" => lines[1..5].concat(),
+            "marked.csv" => format!("# by hand\n# 2\n{}", lines[1..5].concat()),
+            "late.csv" => own.replace("\n1,", "\n# mark\n1,").replace("51.5", "") + "# end\n",
+            "renamed.csv" => format!("# by hand\n\n{}", own.replace("tau", "load")),
+            "twice.csv" => [&lines[..3], &lines[2..]].concat().concat(),
+            "back.csv" => [&lines[..1], &lines[9..], &lines[1..9]].concat().concat(),
+            "cell.csv" => own.replace(",51.5\n", ",\n"),
+            "date.csv" => own.replace("\n1.5,", "\n2024-05-03T10:11:12.5,"),
+            "capitals.csv" => own.to_uppercase(),
+            "named.csv" => table(named, "t_s", ",", [1.0; 4]),
+            "untimed.csv" => table(rtde, "stamp", ",", [1.0; 4]),
+            "one.csv" => lines[..2].concat(),
+            "none.csv" => lines[0].to_owned(),
+            "title.csv" => format!("Arm in cell 4\n{own}"),
+            "huge.csv" => lines[..9].concat().replace("51.5", "1e300"),
+            "foreign.csv" => own
+                .replace("t_s", "clock_time")
+                .replace("q", "jnt_pos")
+                .replace("tau", "load_torque"),
+            "other.csv" => own.replace("_rad,", "/position,").replace("_nm", "/effort"),
+            "broken.db3" => "no database".to_owned(),
+            "broken.mcap" => "no MCAP".to_owned(),
+            _ => String::new(),
+        };
+        // Names, and words of the refusal.
+        let cases = "\
+headless.csv | headless.csv:1: no header row, 19 numbers: name the columns by --names
+marked.csv | marked.csv:3: no header row, 19 numbers
+late.csv | late.csv:9: column tau6_nm
+renamed.csv | renamed.csv:3: column tau1_nm is missing
+twice.csv | twice.csv:4: column t_s: 0.25 does not come after 0.25: rows that are written twice: keep one of each; coarse stamps of even rows: leave t_s out and give rate_hz
+back.csv | back.csv:54: column t_s: 0 does not come after 14.75: sort the rows by time, or cut the log here
+cell.csv | cell.csv:8: column tau6_nm: \"\" is not a finite number: delete such rows: up to four in a row
+date.csv | is not a finite number: write seconds, with pandas
+capitals.csv | t_s = \"T_S\"\\nq_rad = \"Q{1}_RAD\"\\ntau_nm = \"TAU{1}_NM\"
+named.csv | t_s = \"t_s\"\\nq_rad = \"{name}_rad\"\\ntau_nm = \"{name}_nm\"
+untimed.csv | column timestamp is missing: name it by t_s, or give
+one.csv | one.csv: 1 rows, a motion needs 3 at least
+none.csv | none.csv: no rows
+empty.csv | empty.csv: no rows
+title.csv | none of a known source (a title above the header must begin with #)
+huge.csv | huge.csv:8: column tau6_nm: 1e300 is no measurement
+foreign.csv | t_s = \"clock_time\"\\nq_rad = \"jnt_pos{1}_rad\"\\ntau_nm = \"load_torque{1}_nm\"
+other.csv | the log has joints q1, q2, q3, q4, q5, q6, the robot shoulder_pan,
+robot.parquet | robot.parquet: .parquet is not read; convert it: python3
+robot.bag | robot.bag: .bag is not read; convert it: rosbags-convert
+broken.db3 | broken.db3: no ROS 2 bag: file is not a database
+broken.mcap | broken.mcap: no MCAP";
+        for case in cases.lines() {
+            let (name, wanted) = case.split_once(" | ").expect("a name and words");
+            let refused = read_text(name, &text_of(name), &ur5()).expect_err(name);
+            let refused = refused.replace('\n', "\\n");
             assert!(refused.contains(wanted), "{name}: {refused}");
         }
         let refused = read(std::path::Path::new("/dev/null"), &ur5()).expect_err("no file");

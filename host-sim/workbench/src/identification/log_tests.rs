@@ -1,12 +1,50 @@
-//! One motion of a UR5 as every source writes it: the same rows.
+//! Logs for tests: files of any rows, and one motion of a UR5 as every source writes it, which must give the same rows.
 
 use super::{LogRow, WholeLog};
 use crate::robot::{EffortKind, LogColumns, Robot};
 use std::f64::consts::{PI, TAU};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 const ROWS: usize = 60;
+
+/// A file in a directory of its own, which is removed with the first.
+pub(super) fn file(name: &str, text: &str) -> (TempDir, PathBuf) {
+    let here = tempfile::tempdir().expect("creates");
+    let path = here.path().join(name);
+    fs::write(&path, text).expect("writes");
+    (here, path)
+}
+
+/// A table of these rows.
+pub(super) fn text_of(
+    header: &str,
+    separator: &str,
+    rows: impl Iterator<Item = impl AsRef<[f64]>>,
+) -> String {
+    let mut text = header.to_owned() + "\n";
+    for row in rows {
+        let fields: Vec<String> = row.as_ref().iter().map(f64::to_string).collect();
+        text += &(fields.join(separator) + "\n");
+    }
+    text
+}
+
+/// A log of these rows.
+pub(super) fn log_of(
+    header: &str,
+    rows: impl IntoIterator<Item = impl AsRef<[f64]>>,
+) -> (TempDir, PathBuf) {
+    file("log.csv", &text_of(header, ",", rows.into_iter()))
+}
+
+/// The first joints of a UR5.
+pub(super) fn first_joints(count: usize) -> Robot {
+    let mut robot = ur5();
+    robot.joints.truncate(count);
+    robot
+}
 
 /// Rows and notes of a log of this name and content.
 pub(super) fn read_text(
@@ -14,22 +52,18 @@ pub(super) fn read_text(
     text: &str,
     robot: &Robot,
 ) -> Result<(Vec<LogRow>, String), String> {
-    let here = tempfile::tempdir().expect("creates");
-    let path = here.path().join(name);
-    fs::write(&path, text).expect("writes");
+    let (_here, path) = file(name, text);
     read(&path, robot)
 }
 
-pub(super) fn read(path: &std::path::Path, robot: &Robot) -> Result<(Vec<LogRow>, String), String> {
+pub(super) fn read(path: &Path, robot: &Robot) -> Result<(Vec<LogRow>, String), String> {
     let plain = |error: crate::table::TableError| {
         let directory = path.parent().expect("has one").display().to_string() + "/";
         error.to_string().replace(&directory, "")
     };
     let mut log = WholeLog::open(path, robot).map_err(plain)?;
-    let mut rows = Vec::new();
-    while let Some(row) = log.next_row().map_err(plain)? {
-        rows.push(row);
-    }
+    let rows = std::iter::from_fn(|| log.next_row().transpose());
+    let rows = rows.collect::<Result<_, _>>().map_err(plain)?;
     let mut notes = log.notes.clone();
     notes.extend(log.reader.wraps());
     Ok((rows, notes.join("\n")))
@@ -41,8 +75,11 @@ pub(super) fn ur5() -> Robot {
     robot
 }
 
-/// Time, positions, velocities and torques of a row; joint 6 turns on.
-fn row(k: usize) -> (f64, [f64; 6], [f64; 6], [f64; 6]) {
+/// Time, positions, velocities and torques of a row.
+type Row = (f64, [f64; 6], [f64; 6], [f64; 6]);
+
+/// A row of the motion; joint 6 turns on.
+fn row(k: usize) -> Row {
     let t = 0.25 * k as f64;
     let phases: [f64; 6] = std::array::from_fn(|j| t + j as f64);
     let (mut q, mut qd) = (phases.map(f64::sin), phases.map(f64::cos));
@@ -50,45 +87,55 @@ fn row(k: usize) -> (f64, [f64; 6], [f64; 6], [f64; 6]) {
     (t, q, qd, std::array::from_fn(|j| 10.0 * j as f64 + t))
 }
 
-/// A log whose columns of positions, velocities and torques have these names, and whose quantities these units.
-///
-/// `{0}` and `{1}` stand for the number of a joint from 0 and from 1, `{name}` for its name.
+// Names of the columns of positions, velocities and torques by source: `{0}` and `{1}` stand for the number of a joint from 0
+// and from 1, `{name}` for its name.
+const OWN: [&str; 3] = ["q{1}_rad", "qd{1}_rad_s", "tau{1}_nm"];
+const FRANKA: [&str; 3] = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]"];
+const LEROBOT: [&str; 3] = ["{name}.pos", "{name}.vel", "{name}.torque"];
+const RTDE: [&str; 3] = [
+    "actual_q_{0}",
+    "actual_qd_{0}",
+    "actual_current_as_torque_{0}",
+];
+const ROS: [&str; 3] = [
+    "{name}_joint/position",
+    "{name}_joint/velocity",
+    "{name}_joint/effort",
+];
+const DEGREE: f64 = PI / 180.0;
+
+/// Values of a row in these units of time, positions, velocities and torques.
+fn values((t, q, qd, tau): Row, [of_t, units @ ..]: [f64; 4]) -> Vec<f64> {
+    let quantities = [q, qd, tau].into_iter().zip(units);
+    let quantities = quantities.flat_map(|(values, unit)| values.map(|value| value / unit));
+    std::iter::once(t / of_t).chain(quantities).collect()
+}
+
+/// A log of the motion whose columns have these names, and whose time, positions, velocities and torques these units.
 pub(super) fn table(names: [&str; 3], time: &str, separator: &str, units: [f64; 4]) -> String {
     let joints = ur5().joints;
     let column = |pattern: &str, j: usize| {
-        let pattern = pattern
-            .replace("{0}", &j.to_string())
-            .replace("{name}", &joints[j].name);
+        let pattern = pattern.replace("{0}", &j.to_string());
+        let pattern = pattern.replace("{name}", &joints[j].name);
         pattern.replace("{1}", &(j + 1).to_string())
     };
-    let columns = names
-        .iter()
-        .flat_map(|name| (0..6).map(|j| column(name, j)));
+    let columns = names.iter();
+    let columns = columns.flat_map(|name| (0..6).map(|j| column(name, j)));
     let header: Vec<String> = std::iter::once(time.to_owned()).chain(columns).collect();
-    let rows = (0..ROWS).map(|k| {
-        let (t, q, qd, tau) = row(k);
-        let values = [
-            (&[t][..], units[0]),
-            (&q, units[1]),
-            (&qd, units[2]),
-            (&tau, units[3]),
-        ];
-        let fields = values
-            .iter()
-            .flat_map(|(values, unit)| values.iter().map(move |v| v / unit));
-        fields.map(|field| field.to_string()).collect::<Vec<_>>()
-    });
-    let lines = std::iter::once(header).chain(rows);
-    lines.map(|line| line.join(separator) + "\n").collect()
+    let rows = (0..ROWS).map(|k| values(row(k), units));
+    text_of(&header.join(separator), separator, rows)
 }
 
 pub(super) fn own() -> String {
-    table(
-        ["q{1}_rad", "qd{1}_rad_s", "tau{1}_nm"],
-        "t_s",
-        ",",
-        [1.0; 4],
-    )
+    table(OWN, "t_s", ",", [1.0; 4])
+}
+
+/// A log of other rows under the project's own names.
+fn own_of(row: impl Fn(usize) -> Row) -> String {
+    let own = own();
+    let (header, _) = own.split_once('\n').expect("header");
+    let rows = (0..ROWS).map(|k| values(row(k), [1.0; 4]));
+    text_of(header, ",", rows)
 }
 
 fn is_the_motion(rows: &[LogRow], name: &str) {
@@ -103,74 +150,50 @@ fn is_the_motion(rows: &[LogRow], name: &str) {
     }
 }
 
+/// A UR5 whose logs have these columns.
+fn mapped(columns: LogColumns) -> Robot {
+    Robot {
+        log_columns: Some(columns),
+        ..ur5()
+    }
+}
+
 #[test]
 fn every_source_gives_the_same_rows() {
-    let degrees = [1.0, PI / 180.0, PI / 180.0, 1.0];
-    let semicolons = own().replace(',', ";").replace('.', ",");
-    let rtde = [
-        "actual_q_{0}",
-        "actual_qd_{0}",
-        "actual_current_as_torque_{0}",
-    ];
-    let franka = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]"];
-    let ros = [
-        "{name}_joint/position",
-        "{name}_joint/velocity",
-        "{name}_joint/effort",
-    ];
+    let amid = own().replacen("\n1,", "\n# mark, 2\n1,", 1);
     let zero = ["q{0}_rad", "qd{0}_rad_s", "tau{0}_nm"];
-    let exported = ros.map(|name| format!("/arm/joint_states/{name}"));
-    let exported = exported.each_ref().map(String::as_str);
-    let lerobot = ["{name}.pos", "{name}.vel", "{name}.torque"];
-    let known = [
-        ("own.csv", own(), ""),
-        ("tabs.csv", own().replace(',', "\t"), ""),
-        ("excel.csv", semicolons.clone(), ""),
-        ("excel.txt", semicolons.replace(';', "\t"), ""),
-        ("spaces.csv", own().replace(',', "   "), ""),
-        ("comment.csv", format!("# {}", own().replace(',', " ")), ""),
-        ("above.csv", format!("# by hand\n#\n\n# {}", own()), ""),
-        (
-            "amid.csv",
-            format!(
-                "# by hand\n{}",
-                own().replacen("\n1,", "\n# mark, 2\n1,", 1)
-            ),
-            "",
-        ),
-        ("zero.csv", table(zero, "t_s", ",", [1.0; 4]), ""),
-        (
-            "rtde.csv",
-            table(rtde, "timestamp", " ", [1.0; 4]),
-            "columns of rtde",
-        ),
-        (
-            "franka.csv",
-            table(franka, "time", ",", [1e-3, 1.0, 1.0, 1.0]),
-            "columns of franka",
-        ),
-        (
-            "ros.csv",
-            table(ros, "t_s", ",", [1.0; 4]),
-            "joint shoulder_pan of the description is shoulder_pan_joint/position there",
-        ),
-        (
-            "plotjuggler.csv",
-            table(exported, "__time", ",", [1.0; 4]),
-            "columns of ros",
-        ),
-        (
-            "lerobot.csv",
-            table(lerobot, "timestamp", ",", degrees),
-            "columns of lerobot",
-        ),
-    ];
-    for (name, text, note) in known {
-        let (rows, notes) = read_text(name, &text, &ur5()).expect(name);
-        is_the_motion(&rows, name);
-        assert!(notes.contains(note), "{name}: {notes}");
+    for (name, text) in [
+        ("own.csv", own()),
+        ("tabs.csv", own().replace(',', "\t")),
+        ("excel.csv", own().replace(',', ";").replace('.', ",")),
+        ("excel.txt", own().replace(',', "\t").replace('.', ",")),
+        ("spaces.csv", own().replace(',', "   ")),
+        ("comment.csv", format!("# {}", own().replace(',', " "))),
+        ("above.csv", format!("# by hand\n#\n\n# {}", own())),
+        ("amid.csv", format!("# by hand\n{amid}")),
+        ("zero.csv", table(zero, "t_s", ",", [1.0; 4])),
+    ] {
+        is_the_motion(&read_text(name, &text, &ur5()).expect(name).0, name);
     }
-    let units = [1e-3, PI / 180.0, PI / 180.0, 1e-3];
+    let exported = ROS.map(|name| format!("/arm/joint_states/{name}"));
+    let exported = exported.each_ref().map(String::as_str);
+    let (ms, degrees) = ([1e-3, 1.0, 1.0, 1.0], [1.0, DEGREE, DEGREE, 1.0]);
+    let other_joints = "joint shoulder_pan of the description is shoulder_pan_joint/position there";
+    for (note, text) in [
+        ("columns of rtde", table(RTDE, "timestamp", " ", [1.0; 4])),
+        ("columns of franka", table(FRANKA, "time", ",", ms)),
+        (other_joints, table(ROS, "t_s", ",", [1.0; 4])),
+        ("columns of ros", table(exported, "__time", ",", [1.0; 4])),
+        (
+            "columns of lerobot",
+            table(LEROBOT, "timestamp", ",", degrees),
+        ),
+    ] {
+        let (rows, notes) = read_text("known.csv", &text, &ur5()).expect(note);
+        is_the_motion(&rows, note);
+        assert!(notes.contains(note), "{note}: {notes}");
+    }
+    let units = [1e-3, DEGREE, DEGREE, 1e-3];
     let plain = table(["a{0}", "b{0}", "c{0}"], "T", ",", units);
     let own = own();
     let (header, headless) = own.split_once('\n').expect("header");
@@ -182,9 +205,8 @@ fn every_source_gives_the_same_rows() {
         (&plain, Vec::new(), format!("{map}{list}")),
         (headless, names, String::new()),
     ] {
-        let mut robot = ur5();
         let columns: LogColumns = toml::from_str(&columns).expect("a map");
-        robot.log_columns = Some(LogColumns { names, ..columns });
+        let robot = mapped(LogColumns { names, ..columns });
         let (rows, _) = read_text("mapped.csv", text, &robot).expect("mapped");
         is_the_motion(&rows, "mapped");
     }
@@ -193,8 +215,7 @@ fn every_source_gives_the_same_rows() {
 #[test]
 fn units_replace_those_of_the_quantities_they_name() {
     let read_with = |name: &str, text: &str, units: &str, effort| {
-        let mut robot = ur5();
-        robot.log_columns = Some(LogColumns {
+        let robot = mapped(LogColumns {
             all_units: Some(units.parse().expect("known")),
             effort,
             ..LogColumns::default()
@@ -202,23 +223,15 @@ fn units_replace_those_of_the_quantities_they_name() {
         read_text(name, text, &robot).expect(name).0
     };
     // Degrees of the one source and milliseconds of the other stay.
-    let degree = PI / 180.0;
-    let lerobot = ["{name}.pos", "{name}.vel", "{name}.torque"];
-    let lerobot = table(lerobot, "timestamp", ",", [1.0, degree, degree, 1e-3]);
-    let franka = ["state.q[{0}]", "state.dq[{0}]", "state.tau_J[{0}]"];
-    let franka = table(franka, "time", ",", [1e-3, 1.0, 1.0, 1e-3]);
+    let lerobot = table(LEROBOT, "timestamp", ",", [1.0, DEGREE, DEGREE, 1e-3]);
+    let franka = table(FRANKA, "time", ",", [1e-3, 1.0, 1.0, 1e-3]);
     for (name, text) in [("lerobot.csv", lerobot), ("franka.csv", franka)] {
         is_the_motion(&read_with(name, &text, "tau=mNm", None), name);
     }
     // Currents in the columns of torques.
-    let ros = [
-        "{name}_joint/position",
-        "{name}_joint/velocity",
-        "{name}_joint/effort",
-    ];
     let current = Some(EffortKind::Current);
     let [ampere, milli] = [("i=A", 1.0), ("i=mA", 1e-3)].map(|(units, unit)| {
-        let text = table(ros, "t_s", ",", [1.0, 1.0, 1.0, unit]);
+        let text = table(ROS, "t_s", ",", [1.0, 1.0, 1.0, unit]);
         read_with("currents.csv", &text, units, current)
     });
     let gains: Vec<f64> = ur5().joints.iter().map(|joint| joint.gain()).collect();
@@ -235,24 +248,17 @@ fn units_replace_those_of_the_quantities_they_name() {
 fn a_required_map_wins_over_own_names() {
     // Commands under the own names, measured torques beside them.
     let own = own();
-    let mut lines = own.lines();
-    let mut text = format!(
-        "{},{}\n",
-        lines.next().expect("header"),
-        "a1,a2,a3,a4,a5,a6"
-    );
-    for (k, line) in lines.enumerate() {
-        let (_, _, _, tau) = row(k);
-        let measured = tau.map(|tau| (-1e3 * tau).to_string()).join(",");
-        text += &format!("{line},{measured}\n");
-    }
+    let measured = (0..ROWS).map(|k| row(k).3.map(|tau| -1e3 * tau));
+    let measured = text_of("a1,a2,a3,a4,a5,a6", ",", measured);
+    let lines = own.lines().zip(measured.lines());
+    let text: String = lines
+        .map(|(own, measured)| format!("{own},{measured}\n"))
+        .collect();
     let read_by = |map: &str| {
-        let mut robot = ur5();
         let map: LogColumns = toml::from_str(map).expect("a map");
-        let all_units = map.units.clone();
-        robot.log_columns = Some(LogColumns {
+        let robot = mapped(LogColumns {
             required: true,
-            all_units,
+            all_units: map.units.clone(),
             ..map
         });
         read_text("both.csv", &text, &robot)
@@ -263,44 +269,37 @@ fn a_required_map_wins_over_own_names() {
         measured.to_owned(),
         format!("{measured}\nrate_hz = {rate_hz}"),
     ] {
-        let (rows, _) = read_by(&map).expect("a log");
-        is_the_motion(&rows, &map);
+        is_the_motion(&read_by(&map).expect("a log").0, &map);
     }
-    for (map, problem) in [
-        ("q_rad = 'pos{}'", "column pos1 is missing"),
-        ("q_rad = 'q{2}_rad'", "q has one column for all joints"),
-        ("tau_nm = ['a1', 'a2']", "2 names of columns for 6 joints"),
-        ("t_s = 'time'", "column time is missing"),
-        ("t_s = 't_s'\nrate_hz = 100.0", "keep one of them"),
-        ("rate_hz = -1.0", "rate_hz is -1, no number of rows"),
-        (
-            "tau_nm = 'a'",
-            "tau has one column for all joints: write {}",
-        ),
-    ] {
-        let error = read_by(map).expect_err(map);
+    // Maps, and the words of the refusal.
+    let cases = "\
+q_rad = 'pos{}' | column pos1 is missing
+q_rad = 'q{2}_rad' | q has one column for all joints
+tau_nm = ['a1', 'a2'] | 2 names of columns for 6 joints
+t_s = 'time' | column time is missing
+rate_hz = 100.0;t_s = 't_s' | keep one of them
+rate_hz = -1.0 | rate_hz is -1, no number of rows
+tau_nm = 'a' | tau has one column for all joints: write {}";
+    for case in cases.lines() {
+        let (map, problem) = case.split_once(" | ").expect("two parts");
+        let error = read_by(&map.replace(';', "\n")).expect_err(map);
         assert!(error.contains(problem), "{map}: {error}");
     }
     let mut robot = ur5();
     robot.joints[2].drive.gain = None;
     let currents = own.replace("_nm", "_a").replace("tau", "i");
     let error = read_text("currents.csv", &currents, &robot).expect_err("no gain");
-    assert!(
-        error.contains("the gain of joint 3 is not known"),
-        "{error}"
-    );
+    let wanted = "the gain of joint 3 is not known";
+    assert!(error.contains(wanted), "{error}");
     for effort in [EffortKind::Torque, EffortKind::Motor] {
-        let mut robot = ur5();
-        robot.log_columns = Some(LogColumns {
+        let robot = mapped(LogColumns {
             effort: Some(effort),
             ..LogColumns::default()
         });
         let error = read_text("currents.csv", &currents, &robot).expect_err("no torques");
         assert!(error.contains("column i1_a is a motor current"), "{error}");
     }
-    let here = tempfile::tempdir().expect("creates");
-    let path = here.path().join("currents.csv");
-    fs::write(&path, currents).expect("writes");
+    let (_here, path) = file("currents.csv", &currents);
     let error = super::with_gains(&robot, &[path], 0.05).expect_err("no standstill");
     let wanted = "standstill does not show the gain of joint 3: give --drive-gains";
     assert!(error.to_string().contains(wanted), "{error}");
@@ -308,52 +307,39 @@ fn a_required_map_wins_over_own_names() {
 
 #[test]
 fn wrapped_angles_continue_on_continuous_joints_only() {
-    let mut text = own().lines().next().expect("header").to_owned() + "\n";
-    for k in 0..ROWS {
+    let text = own_of(|k| {
         let (t, mut q, qd, tau) = row(k);
         q[5] -= TAU * ((q[5] + PI) / TAU).floor();
-        let values = [&[t][..], &q, &qd, &tau].concat();
-        let fields: Vec<String> = values.iter().map(f64::to_string).collect();
-        text += &(fields.join(",") + "\n");
-    }
+        (t, q, qd, tau)
+    });
     let (rows, notes) = read_text("wrapped.csv", &text, &ur5()).expect("continuous");
     is_the_motion(&rows, "wrapped");
     let wraps = "angles un-wrapped: joint 6 1 times";
     assert!(notes.contains(wraps), "{notes}");
     let mut limited = ur5();
     limited.joints[5].limits.position = (-3.0, 3.0);
-    let refused = read_text("wrapped.csv", &text, &limited);
-    let refused = refused.expect_err("limited");
+    let refused = read_text("wrapped.csv", &text, &limited).expect_err("limited");
     let jump = "wrapped.csv:28: column q6_rad: a jump of -6.158 rad";
     assert!(refused.starts_with(jump), "{refused}");
     // Over ten seconds without rows it can make that way.
-    let mut apart = own().lines().next().expect("header").to_owned() + "\n";
-    for k in 0..ROWS {
+    let apart = own_of(|k| {
         let (t, mut q, qd, tau) = row(k);
         let behind = f64::from(u8::from(k >= ROWS / 2));
         q[5] = 2.8 * (2.0 * behind - 1.0);
-        let values = [&[t + 10.0 * behind][..], &q, &qd, &tau].concat();
-        let fields: Vec<String> = values.iter().map(f64::to_string).collect();
-        apart += &(fields.join(",") + "\n");
-    }
+        (t + 10.0 * behind, q, qd, tau)
+    });
     let (rows, notes) = read_text("apart.csv", &apart, &limited).expect("two sections");
     assert_eq!((rows[0].q[5], rows[ROWS - 1].q[5]), (-2.8, 2.8));
     assert!(!notes.contains("un-wrapped"), "{notes}");
     // Torques stand for the positions.
-    let mut text = own().lines().next().expect("header").to_owned() + "\n";
-    for k in 0..ROWS {
+    let swapped = own_of(|k| {
         let (t, q, qd, _) = row(k);
-        let noise = std::array::from_fn::<f64, 6, _>(|j| 3.1 * (((k + j) * 7 % 3) as f64 - 1.0));
-        let values = [&[t][..], &noise, &qd, &q].concat();
-        let fields: Vec<String> = values.iter().map(f64::to_string).collect();
-        text += &(fields.join(",") + "\n");
-    }
-    let refused = read_text("swapped.csv", &text, &limited);
-    let refused = refused.expect_err("noise is no position");
-    assert!(
-        refused.contains("positions and torques are swapped"),
-        "{refused}"
-    );
+        let noise = std::array::from_fn(|j| 3.1 * (((k + j) * 7 % 3) as f64 - 1.0));
+        (t, noise, qd, q)
+    });
+    let refused = read_text("swapped.csv", &swapped, &limited).expect_err("no position");
+    let wanted = "positions and torques are swapped";
+    assert!(refused.contains(wanted), "{refused}");
 }
 
 #[test]
@@ -414,11 +400,10 @@ fn logs_of_coupled_joints_become_those_of_the_drives() {
     let mut robot = Robot::parse("coupled", &text).expect("a description");
     let (drives, _) = read_text("drives.csv", &own(), &robot).expect("a log");
     is_the_motion(&drives, "drives");
-    let map = LogColumns {
+    robot.log_columns = Some(LogColumns {
         of_joints: true,
         ..LogColumns::default()
-    };
-    robot.log_columns = Some(map);
+    });
     let (joints, _) = read_text("joints.csv", &own(), &robot).expect("a log");
     let currents = own().replace("_nm", "_a").replace("tau", "i");
     let (currents, _) = read_text("currents.csv", &currents, &robot).expect("a log");

@@ -2,10 +2,10 @@
 
 use super::clock::{GAP_PERIODS, mean_period_s};
 use super::columns::Layout;
-use super::filter::{Harmonics, despiked, median};
+use super::filter::{Harmonics, despiked};
 use super::log::{LogReader, LogRow};
 use super::normal::SpeedSums;
-use super::prepare::{Preparation, PrepareConfig, Prepared, Stretch, states};
+use super::prepare::{Preparation, PrepareConfig, Prepared, states};
 use super::whole_log::{FOLLOWED, WholeLog, too_short};
 use super::{IdentifyError, refused};
 use crate::Refusal;
@@ -297,9 +297,7 @@ impl Fold {
         if first.len() < 3 {
             return Err(too_short(path, first.len()).into());
         }
-        let mut steps: Vec<f64> = first.windows(2).map(|p| p[1].t_s - p[0].t_s).collect();
-        let median_s = median(&mut steps);
-        let row_s = mean_period_s(steps.into_iter(), median_s);
+        let row_s = mean_period_s(first);
         let phases = (period_s / row_s).round();
         if phases < 3.0 || (phases * row_s - period_s).abs() > UNEVEN * row_s {
             let rows = format!("rows, which are {row_s:.6} s apart");

@@ -1,6 +1,6 @@
 //! A log with its lost rows put in: filters and derivatives need rows that are equally far apart.
 
-use super::clock::{Clock, GAP_PERIODS, StepTimes, clock};
+use super::clock::{Clock, GAP_PERIODS, clock, step_times};
 use super::log::{LogReader, LogRow};
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
@@ -81,8 +81,8 @@ impl WholeLog {
         let mut held = Held::of(&first[last(&first)]);
         first.retain(|row| held.is_new(row));
         let moving = &first[last(&first)];
-        let steps = StepTimes::of(moving);
-        let (clock, period_s) = clock(moving, &steps);
+        let [shortest_s, _, longest_s] = step_times(moving);
+        let (clock, period_s) = clock(moving);
         if held.times > 1 {
             reader.notes.push(format!(
                 "{}: positions repeat in {times} rows: they were read at {:.0} Hz, and one row of {times} is kept",
@@ -99,7 +99,7 @@ impl WholeLog {
             noise: Vec::new(),
             period_s,
             clock,
-            longest_s: steps.longest_s,
+            longest_s,
             last: None,
             next_s: f64::NEG_INFINITY,
             ahead: [None; 2],
@@ -110,8 +110,8 @@ impl WholeLog {
             log.notes.push(format!(
                 "{}: rows {:.1} to {:.1} ms apart were put on a grid of {:.2} ms by their stamps",
                 path.display(),
-                1e3 * steps.shortest_s,
-                1e3 * steps.longest_s,
+                1e3 * shortest_s,
+                1e3 * longest_s,
                 1e3 * log.period_s
             ));
         }
@@ -270,14 +270,12 @@ pub(super) const FOLLOWED: f64 = 0.01;
 fn resolution(rows: &[LogRow]) -> Vec<f64> {
     let joints = rows.first().map_or(0, |row| row.q.len());
     let least = |joint: usize| {
-        let steps = rows
-            .windows(2)
-            .map(|pair| (pair[1].q[joint] - pair[0].q[joint]).abs());
-        steps.filter(|step| *step > 0.0).reduce(f64::min)
+        let pairs = rows.windows(2);
+        let steps = pairs.map(|pair| (pair[1].q[joint] - pair[0].q[joint]).abs());
+        let least = steps.filter(|step| *step > 0.0).reduce(f64::min);
+        least.unwrap_or_default()
     };
-    (0..joints)
-        .map(|joint| least(joint).unwrap_or_default())
-        .collect()
+    (0..joints).map(least).collect()
 }
 
 /// Noise of the positions, standard deviation, rad: that of rounding to their `resolution`, or what is seen of it, by drives that
@@ -375,6 +373,7 @@ impl Held {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::log_tests::{first_joints, log_of};
     use super::*;
     use std::f64::consts::TAU;
 
@@ -396,24 +395,17 @@ pub(super) mod tests {
         stamps_s: &[f64],
         error: Option<f64>,
     ) -> (Vec<LogRow>, WholeLog) {
-        let here = tempfile::tempdir().expect("a directory for temporary files");
-        let path = here.path().join("log.csv");
-        let velocity = if error.is_some() { "qd1_rad_s," } else { "" };
-        let mut text = format!("t_s,q1_rad,{velocity}tau1_nm\n");
-        for (&t, stamp) in times_s.iter().zip(stamps_s) {
+        let rows = times_s.iter().zip(stamps_s).map(|(&t, &stamp)| {
             let (q, qd) = motion(t);
-            let qd = error.map(|error| format!("{},", qd + error * (7e4 * t).sin()));
-            text += &format!("{stamp},{q},{}{}\n", qd.unwrap_or_default(), 3.0 * stamp);
-        }
-        std::fs::write(&path, text).expect("it can be written");
-        let mut robot = Robot::load("ur5").expect("built in");
-        robot.joints.truncate(1);
-        let mut log = WholeLog::open(&path, &robot).expect("a sound log");
-        let mut rows = Vec::new();
-        while let Some(row) = log.next_row().expect("sound rows") {
-            rows.push(row);
-        }
-        (rows, log)
+            let qd = error.map(|error| qd + error * (7e4 * t).sin());
+            let before = [stamp, q, 3.0 * stamp].into_iter();
+            before.chain(qd).collect::<Vec<f64>>()
+        });
+        let velocity = if error.is_some() { ",qd1_rad_s" } else { "" };
+        let (_here, path) = log_of(&format!("t_s,q1_rad,tau1_nm{velocity}"), rows);
+        let mut log = WholeLog::open(&path, &first_joints(1)).expect("a sound log");
+        let rows = std::iter::from_fn(|| log.next_row().expect("sound rows"));
+        (rows.collect(), log)
     }
 
     #[test]
@@ -467,19 +459,16 @@ pub(super) mod tests {
         let kept = |read: &dyn Fn(i32) -> i32| {
             let times: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(read(k))).collect();
             let (rows, log) = stamped(&times, &stamps);
-            let note = log
-                .notes
-                .iter()
-                .find_map(|note| Some(note.split_once("positions repeat in ")?.1.to_owned()));
+            let notes = log.notes.concat();
+            let note = notes.split_once("positions repeat in ");
+            let note = note.map(|(_, note)| note.to_owned());
             (rows, log.period_s(), note)
         };
         let (rows, period_s, note) = kept(&|k| k / 4 * 4);
         let expected = "4 rows: they were read at 100 Hz, and one row of 4 is kept";
         assert_eq!(note.as_deref(), Some(expected));
-        assert!(
-            rows.len() == 100 && (period_s - 0.01).abs() < 1e-9,
-            "{period_s}"
-        );
+        assert!((period_s - 0.01).abs() < 1e-9, "{period_s}");
+        assert_eq!(rows.len(), 100);
         for row in rows {
             assert!((row.q[0] - motion(row.t_s).0).abs() < 1e-9, "{}", row.t_s);
         }
@@ -512,21 +501,12 @@ pub(super) mod tests {
         };
         assert_eq!(Held::of(&(0..400).map(row).collect::<Vec<_>>()).times, 8);
         // Encoders whose steps are as long as the way in two rows.
-        let here = tempfile::tempdir().expect("a directory for temporary files");
-        let path = here.path().join("coarse.csv");
-        let mut text = "t_s,q1_rad,tau1_nm\n".to_owned();
-        for k in 0..400 {
-            let (t_s, steps) = (2.5e-3 * f64::from(k), k * 10 / 19);
-            text += &format!(
-                "{t_s},{},{}\n",
-                1.5e-3 * f64::from(steps),
-                0.01 * f64::from(k % 7)
-            );
-        }
-        std::fs::write(&path, text).expect("it can be written");
-        let mut robot = Robot::load("ur5").expect("built in");
-        robot.joints.truncate(1);
-        let log = WholeLog::open(&path, &robot).expect("a sound log");
+        let coarse = (0..400).map(|k: u32| {
+            let position = 1.5e-3 * f64::from(k * 10 / 19);
+            [2.5e-3 * f64::from(k), position, 0.01 * f64::from(k % 7)]
+        });
+        let (_here, path) = log_of("t_s,q1_rad,tau1_nm", coarse);
+        let log = WholeLog::open(&path, &first_joints(1)).expect("a sound log");
         assert_eq!(log.preview.len(), 400);
     }
 

@@ -368,6 +368,15 @@ mod tests {
     use crate::identification::judge::JointCheck;
     use crate::identification::methods::wls;
 
+    /// A small body of this mass, kg, at the flange.
+    fn at_flange(robot: &Robot, mass: f64) -> Link {
+        Link {
+            mass,
+            com: robot.flange.origin,
+            inertia_com: Matrix3::identity() * 1e-3 * mass,
+        }
+    }
+
     #[test]
     fn a_payload_is_found_where_a_moment_of_it_gives_no_torque() {
         // In a plane: what is beside it gives no torque.
@@ -378,12 +387,7 @@ mod tests {
         let layout = Layout::new(&robot, &ColumnSet::plain());
         let mut loaded = robot.clone();
         let last = &mut loaded.joints[1].link;
-        let body = Link {
-            mass: 20.0,
-            com: robot.flange.origin,
-            inertia_com: Matrix3::identity() * 2e-3,
-        };
-        *last = Link::lumped(&[*last, body]).expect("a body");
+        *last = Link::lumped(&[*last, at_flange(&robot, 20.0)]).expect("a body");
         let theta = description(&loaded, &layout);
         let fit = Fit {
             covariance: DMatrix::identity(theta.len(), theta.len()) * 1e-6,
@@ -403,12 +407,7 @@ mod tests {
         let found = |tilt: f64, mass: f64| {
             let mut arm = robot.clone();
             arm.gravity = Vector3::new(tilt.sin(), 0.0, -tilt.cos()) * 9.81;
-            let body = Link {
-                mass,
-                com: arm.flange.origin,
-                inertia_com: Matrix3::identity() * 1e-3 * mass,
-            };
-            let model = RigidBodies::new(&arm).with_payload(&body);
+            let model = RigidBodies::new(&arm).with_payload(&at_flange(&arm, mass));
             // Joint 1 hardly moves: its column of a tilt is nearly one of the parameters.
             let torque = |row: &SampleRow, joint: usize| model.inverse_dynamics(&row.state)[joint];
             let rows = random_rows(&layout, 1500, 1, [0.4, 1.0, 1.0], 1.0, torque);
@@ -468,40 +467,34 @@ mod tests {
     #[test]
     fn torques_that_no_parameters_explain_are_found_joint_by_joint() {
         let joint = |noise_floor_nm: f64| JointCheck {
-            position_rad: (-1.0, 1.0),
-            speed_rad_s: 1.0,
-            torque_rms_nm: 1.0,
             noise_floor_nm,
-            unexplained_ratio: 0.1,
-            scale_ratio: None,
+            ..JointCheck::default()
         };
-        let report = |errors: [f64; 3]| Report {
-            headline_rmse_nm: errors.map(Some).to_vec(),
-            headline_torque_rms_nm: vec![Some(1.0); 3],
-            data_check: Some(Judgement {
-                joints: vec![joint(0.1), joint(0.1), joint(0.6)],
-                ..Judgement::default()
-            }),
-            ..Report::default()
+        let found = |errors: [f64; 3], noise: f64| {
+            unexplained(&Report {
+                headline_rmse_nm: errors.map(Some).to_vec(),
+                headline_torque_rms_nm: vec![Some(1.0); 3],
+                data_check: Some(Judgement {
+                    joints: [0.1, 0.1, noise].map(joint).to_vec(),
+                    ..Judgement::default()
+                }),
+                ..Report::default()
+            })
         };
         // Small errors, and one that noise alone leaves.
-        assert_eq!(unexplained(&report([0.2, 0.6, 0.8])), None);
-        let one = unexplained(&report([0.8, 0.4, 0.8])).expect("joint 1");
-        assert!(
-            !one.refuses && one.text.contains("J1 80 %, 10 % noise"),
-            "{one:?}"
-        );
-        let useless = unexplained(&report([1.0, 0.4, 0.8])).expect("joint 1");
-        assert!(useless.refuses, "{useless:?}");
-        let two = unexplained(&report([0.8, 0.75, 0.8])).expect("joints 1 and 2");
-        assert!(two.refuses && two.text.contains("another arm"), "{two:?}");
-        // Most of what is left of joint 3 is noise, or is not.
-        let mut noisy = report([0.8, 0.2, 0.84]);
-        let check = noisy.data_check.as_mut().expect("judged");
-        check.joints[2].noise_floor_nm = 0.6;
-        assert!(!unexplained(&noisy).expect("joint 1").refuses);
-        let check = noisy.data_check.as_mut().expect("judged");
-        check.joints[2].noise_floor_nm = 0.4;
-        assert!(unexplained(&noisy).expect("joints 1 and 3").refuses);
+        assert_eq!(found([0.2, 0.6, 0.8], 0.6), None);
+        // Errors, noise of joint 3, whether they refuse, and words of the finding.
+        for (errors, noise, refuses, words) in [
+            ([0.8, 0.4, 0.8], 0.6, false, "J1 80 %, 10 % noise"),
+            ([1.0, 0.4, 0.8], 0.6, true, "J1 100 %"),
+            ([0.8, 0.75, 0.8], 0.6, true, "another arm"),
+            // Most of what is left of joint 3 is noise, or is not.
+            ([0.8, 0.2, 0.84], 0.6, false, "J1 80 %"),
+            ([0.8, 0.2, 0.84], 0.4, true, "J3 84 %"),
+        ] {
+            let found = found(errors, noise).expect("joint 1 at least");
+            assert_eq!(found.refuses, refuses, "{found:?}");
+            assert!(found.text.contains(words), "{found:?}");
+        }
     }
 }

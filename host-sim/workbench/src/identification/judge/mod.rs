@@ -65,7 +65,7 @@ pub struct Finding {
 }
 
 /// Figures of one joint.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct JointCheck {
     /// Range of positions, rad.
     pub position_rad: (f64, f64),

@@ -278,13 +278,9 @@ pub(super) fn units(
     // A torque without noise is smooth, too, but no position.
     let swapped = Roughness::are_swapped(extremes.iter().map(|seen| seen.rough))
         && joints().all(|(_, (joint, seen))| fits(joint, seen));
-    if swapped {
-        judgement.find(true, SWAPPED);
-        return;
-    }
-    if let Some((number, (joint, seen))) = far {
+    let far = far.map(|(number, (joint, seen))| {
         let (most, (low, high)) = (most(seen.position), joint.limits.position);
-        let text = if !is_far(joint, seen) && seen.fast <= 2.0 * FEW * seen.rows {
+        if !is_far(joint, seen) && seen.fast <= 2.0 * FEW * seen.rows {
             format!(
                 "q{} jumps at {:.3} s, by {:.4} rad/s where its largest speed is {:.3} rad/s, {} such steps in all: {WITHOUT_ROWS}; or are the limits too low (--velocity-limits)?",
                 number + 1,
@@ -301,11 +297,10 @@ pub(super) fn units(
                 seen.fastest_s,
                 joint.limits.velocity
             )
-        };
-        judgement.find(true, text);
-        return;
-    }
-    if let Some(text) = rates(extremes) {
+        }
+    });
+    let swapped = swapped.then(|| SWAPPED.to_owned());
+    if let Some(text) = swapped.or(far).or_else(|| rates(extremes)) {
         judgement.find(true, text);
         return;
     }
@@ -454,17 +449,13 @@ fn rates(extremes: &[Extremes]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::log_tests::{first_joints, log_of};
     use std::f64::consts::{PI, TAU};
 
     /// Ranges and findings of a log of one joint: times, positions and torques of its rows.
-    fn scanned(rows: &[[f64; 3]]) -> (Extremes, Vec<String>) {
-        let here = tempfile::tempdir().expect("creates");
-        let path = here.path().join("log.csv");
-        let lines = rows.iter().map(|[t, q, tau]| format!("{t},{q},{tau}\n"));
-        let text = "t_s,q1_rad,tau1_nm\n".to_owned() + &lines.collect::<String>();
-        std::fs::write(&path, text).expect("writes");
-        let mut robot = Robot::load("ur5").expect("built in");
-        robot.joints.truncate(1);
+    fn scanned(rows: impl Iterator<Item = [f64; 3]>) -> (Extremes, Vec<String>) {
+        let (_here, path) = log_of("t_s,q1_rad,tau1_nm", rows);
+        let robot = first_joints(1);
         let mut extremes = [Extremes::none()];
         scan(&path, &robot, &mut extremes).expect("a log");
         let mut judgement = Judgement::default();
@@ -481,7 +472,7 @@ mod tests {
                 let q = if wrapped { (t + PI) % TAU - PI } else { t };
                 [t, q, 100.0 * (0.3 * t).sin()]
             });
-            scanned(&rows.collect::<Vec<_>>())
+            scanned(rows)
         };
         let (seen, findings) = log(true);
         assert!(seen.position.1 > 6.0 * TAU, "{:?}", seen.position);
@@ -496,7 +487,7 @@ mod tests {
             let (t, behind) = (0.01 * f64::from(k), f64::from(k / 200));
             [t + 5.0 * behind, t.sin(), t + 50.0 * behind]
         });
-        let (seen, _) = scanned(&rows.collect::<Vec<_>>());
+        let (seen, _) = scanned(rows);
         assert!(seen.noise() < 1e-6, "{}", seen.noise());
     }
 }

@@ -322,6 +322,7 @@ pub(super) fn other_reading(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::random_motions;
 
     /// Finding of the log of `own`, its base on a slope, by the description `arm`.
     fn read(arm: &Robot, own: &Robot, slope: f64, scale: f64) -> Option<String> {
@@ -331,26 +332,11 @@ mod tests {
             ..own.clone()
         });
         let joints = arm.joint_count();
-        let rows = (0..600).map(|row| {
-            let wave = |joint: usize| {
-                let w = 1.0 + 0.3 * joint as f64;
-                (w, (w * 0.01 * f64::from(row)).sin_cos())
-            };
-            let of = |value: &dyn Fn(f64, f64, f64) -> f64| {
-                PerJoint::from_fn(joints, |joint| {
-                    let (w, (sin, cos)) = wave(joint);
-                    value(w, sin, cos)
-                })
-            };
-            let state = Motion {
-                q: of(&|_, sin, _| 2.0 * sin),
-                qd: of(&|w, _, cos| 2.0 * w * cos),
-                qdd: of(&|w, sin, _| -2.0 * w * w * sin),
-            };
+        let motions = random_motions(joints, 600).into_iter().zip(0..);
+        let rows = motions.map(|(state, row)| {
             let noise = 0.01 * f64::from(row * 7 % 11 - 5);
-            let mut tau = model.inverse_dynamics(&state);
-            tau.iter_mut().for_each(|tau| *tau = scale * *tau + noise);
-            (state, tau)
+            let tau = model.inverse_dynamics(&state);
+            (state, tau.map(|tau| scale * tau + noise))
         });
         let rows: Vec<_> = rows.collect();
         other_reading(arm, &rows, &vec![Extremes::none(); joints], &|_| 0.0)
