@@ -297,14 +297,14 @@ fn identify_arm(
         show!("{kind}  {}", finding.text)?;
     }
     for (joint, gain) in report.drive_gains.iter().enumerate() {
-        let known =
-            |gain: Option<f64>| gain.map_or("not known".to_owned(), |gain| format!("{gain:.3}"));
+        let described = gain.description_nm_a;
+        let described = described.map_or("not known".to_owned(), |gain| format!("{gain:.3}"));
         let found = match gain.std_nm_a {
-            Some(std) => format!("± {std:.3}, description {}", known(gain.description_nm_a)),
+            Some(std) => format!("± {std:.3}, description {described}"),
             None => "of the description, standstill does not show it".to_owned(),
         };
-        let (joint, value) = (joint + 1, known(gain.gain_nm_a));
-        show!("gain  joint {joint}  {value} N·m/A {found}")?;
+        let (joint, value) = (joint + 1, gain.gain_nm_a);
+        show!("gain  joint {joint}  {value:.3} N·m/A {found}")?;
     }
     let (rank, of) = (report.rank, &report.condition_number_of);
     let condition = report.condition_number;

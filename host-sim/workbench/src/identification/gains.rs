@@ -5,7 +5,7 @@ use super::record::GainRecord;
 use super::{IdentifyError, joined, refused};
 use crate::Refusal;
 use crate::dynamics::{PerJoint, RigidBodies};
-use crate::robot::Robot;
+use crate::robot::{Joint, Robot};
 use crate::table::TableError;
 use std::path::PathBuf;
 
@@ -44,37 +44,16 @@ impl Stand {
 
 /// The robot with drive gains from standstill, and their records.
 ///
+/// Gains (N·m/A) that make the mean current of every stand the gravity torque of the description, by least squares of the
+/// currents over the torques: stiction lies in the current. The description's gain stays where too few stands show too
+/// little gravity, or stiction scatters it by more than a tenth.
+///
 /// Errors: of the logs; a log without currents; a gain that neither standstill nor the description gives.
 pub fn with_gains(
     robot: &Robot,
     logs: &[PathBuf],
     still_rad_s: f64,
 ) -> Result<(Robot, Vec<GainRecord>), IdentifyError> {
-    let gains = standstill_gains(robot, logs, still_rad_s)?;
-    if let Some(joint) = gains.iter().position(|own| own.gain_nm_a.is_none()) {
-        let problem = format!(
-            "standstill does not show the gain of joint {}: give --drive-gains, or a log that stands still in {FEWEST} poses at least",
-            joint + 1
-        );
-        return Err(Refusal::of(joined(logs), problem).into());
-    }
-    let mut robot = robot.clone();
-    for (joint, record) in robot.joints.iter_mut().zip(&gains) {
-        joint.drive.gain = record.gain_nm_a;
-    }
-    Ok((robot, gains))
-}
-
-/// Gains (N·m/A) that make the mean current of every stand the gravity torque of the description, by least squares of the
-/// currents over the torques: stiction lies in the current. The description's gain stays where too few stands show too
-/// little gravity, or stiction scatters it by more than a tenth.
-///
-/// Errors: of the logs; a log without currents.
-fn standstill_gains(
-    robot: &Robot,
-    logs: &[PathBuf],
-    still_rad_s: f64,
-) -> Result<Vec<GainRecord>, IdentifyError> {
     let model = RigidBodies::new(robot);
     let mut stands: Vec<Stand> = Vec::new();
     // With gains of one a torque is a current.
@@ -96,7 +75,8 @@ fn standstill_gains(
         (model.gravity_torques(&q), current)
     });
     let stands: Vec<(PerJoint<f64>, PerJoint<f64>)> = means.collect();
-    let record = |joint: usize| {
+    let mut found = robot.clone();
+    let record = |(joint, own): (usize, &mut Joint)| {
         let pairs = || stands.iter().map(|(g, i)| (g[joint], i[joint]));
         let power: f64 = pairs().map(|(g, _)| g * g).sum();
         let inverse = pairs().map(|(g, i)| g * i).sum::<f64>() / power;
@@ -104,15 +84,25 @@ fn standstill_gains(
         let count = stands.len();
         let deviation = (rest / (count.max(2) - 1) as f64 / power).sqrt() / inverse;
         let known = count >= FEWEST && inverse > 0.0 && deviation < LARGEST_DEVIATION;
-        let described = robot.joints[joint].drive.gain;
-        GainRecord {
-            gain_nm_a: known.then(|| 1.0 / inverse).or(described),
+        let described = own.drive.gain;
+        own.drive.gain = known.then(|| 1.0 / inverse).or(described);
+        let number = joint + 1;
+        let unknown = || {
+            let problem = format!(
+                "standstill does not show the gain of joint {number}: give --drive-gains, or a log that stands still in {FEWEST} poses at least"
+            );
+            Refusal::of(joined(logs), problem)
+        };
+        Ok(GainRecord {
+            gain_nm_a: own.drive.gain.ok_or_else(unknown)?,
             std_nm_a: known.then(|| deviation / inverse),
             description_nm_a: described,
             stands: count,
-        }
+        })
     };
-    Ok((0..model.joints()).map(record).collect())
+    let records = found.joints.iter_mut().enumerate().map(record);
+    let records = records.collect::<Result<_, Refusal>>()?;
+    Ok((found, records))
 }
 
 /// Adds every stand of a log that lasts long enough to `stands`, or to the last of them at the same pose.
@@ -160,26 +150,26 @@ fn add_stands(
 
 #[cfg(test)]
 mod tests {
+    use super::super::log_tests::{first_joints, log_of};
     use super::*;
-    use std::fmt::Write;
 
     /// Gain of joint 2 of a UR5 by a log of -1 A there whose angle is `q` at a time, with and without velocities.
     fn found(seconds: u32, q: fn(f64) -> f64) -> [GainRecord; 2] {
-        let mut robot = Robot::load("ur5").expect("built in");
-        robot.joints.truncate(2);
-        [",qd1_rad_s,qd2_rad_s", ""].map(|velocities| {
-            let mut text = format!("t_s,q1_rad,q2_rad,i1_a,i2_a{velocities}\n");
-            for k in 0..100 * seconds {
+        let robot = first_joints(2);
+        [true, false].map(|has_velocities| {
+            let velocities = if has_velocities {
+                ",qd1_rad_s,qd2_rad_s"
+            } else {
+                ""
+            };
+            let rows = (0..100 * seconds).map(|k| {
                 let t_s = 0.01 * f64::from(k);
                 let qd = 100.0 * (q(t_s + 0.01) - q(t_s));
-                let more = velocities.replace("qd1_rad_s", "0");
-                let more = more.replace("qd2_rad_s", &qd.to_string());
-                writeln!(text, "{t_s},0,{},0,-1{more}", q(t_s)).expect("a string");
-            }
-            let here = tempfile::tempdir().expect("creates");
-            let path = here.path().join("log.csv");
-            std::fs::write(&path, text).expect("writes");
-            standstill_gains(&robot, &[path], 0.05).expect("a log")[1]
+                let row = [t_s, 0.0, q(t_s), 0.0, -1.0, 0.0, qd];
+                row[..if has_velocities { 7 } else { 5 }].to_vec()
+            });
+            let (_here, path) = log_of(&format!("t_s,q1_rad,q2_rad,i1_a,i2_a{velocities}"), rows);
+            with_gains(&robot, &[path], 0.05).expect("a log").1[1]
         })
     }
 

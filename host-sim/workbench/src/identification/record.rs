@@ -155,11 +155,11 @@ pub struct MethodRecord {
 /// Gain of one drive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GainRecord {
-    /// Gain that was used, N·m/A; `null` where neither standstill nor the description gives it.
-    pub gain_nm_a: Option<f64>,
+    /// Gain that was used, N·m/A.
+    pub gain_nm_a: f64,
     /// Its standard deviation; `null` where standstill does not determine the gain and the description's was taken.
     pub std_nm_a: Option<f64>,
-    /// Gain of the description, N·m/A.
+    /// Gain of the description, N·m/A; `null` where it gives none.
     pub description_nm_a: Option<f64>,
     /// Poses in which the arm stood still, one after the other.
     pub stands: usize,
