@@ -205,13 +205,7 @@ fn bank(robot: &Robot, outcome: &Outcome) -> Option<ParameterBank> {
     }
     arms!(robot, N, P => {
         Described::<N, P>::read(robot)?;
-        bank_of_fit::<Described<N, P>, N, P>(
-            robot,
-            &outcome.bank_layout,
-            &outcome.bank_fit,
-            outcome.networks.as_deref(),
-            outcome.cogging.as_ref(),
-        )
+        bank_of_fit::<Described<N, P>, N, P>(robot, outcome)
     }, else None)
 }
 

@@ -2,7 +2,7 @@
 
 use crate::{StudyError, unsupported};
 use foretorque::arm::ur5::JOINTS;
-use foretorque_workbench::dynamics::{Joints, PerJoint, State};
+use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::identification::{
     ColumnSet, Layout, MethodName, MethodResult, SampleRow, despiked, fit_rows,
@@ -134,8 +134,13 @@ impl Bench {
         let states: Vec<State<JOINTS>> = (0..rows)
             .map(|k| excitation.at(excitation.period_s * k as f64 / rows as f64))
             .collect();
+        // The arms of this study have no cogging.
+        let mut smooth = robot.clone();
+        for joint in &mut smooth.joints {
+            joint.friction.cogging_cycles_rev = 0.0;
+        }
         let model = |columns: &ColumnSet, methods, suffix| {
-            let layout = Layout::new(&robot, columns);
+            let layout = Layout::new(&smooth, columns);
             Model {
                 panels: panels(&layout, &states),
                 layout,
@@ -208,8 +213,8 @@ impl Bench {
                 let draw = MethodDraw {
                     path_nrmse_ratio: score(&trial, layout, &path, &path_exact),
                     split_nrmse_ratio: score(&trial, layout, &held, &held_exact),
-                    epochs: trial.epochs,
-                    seconds: trial.seconds,
+                    epochs: trial.record.epochs,
+                    seconds: trial.record.seconds,
                 };
                 if draw.path_nrmse_ratio.is_finite() && draw.split_nrmse_ratio.is_finite() {
                     methods.insert(name, draw);
@@ -284,8 +289,6 @@ fn row(state: &State<JOINTS>, panel: &[f64], [measured, clean]: [&[f64]; 2]) -> 
         clean: clean.into(),
         moving: state.qd.map(|qd| qd.abs() > MOVING_RAD_S).as_slice().into(),
         panel: panel.into(),
-        // The arms of this study have no cogging.
-        cogging_basis: PerJoint::repeat(JOINTS, [0.0; 2]),
     }
 }
 

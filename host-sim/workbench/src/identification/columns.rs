@@ -168,7 +168,7 @@ pub struct Layout {
     pub base: usize,
     /// Parameters in each joint's equation: those of its own and later links, its own rotor and friction.
     pub active: Vec<Vec<usize>>,
-    /// First entry of each joint in a row of all joints' active columns.
+    /// First entry of each joint in a row of all joints: active columns, then sine and cosine of the cogging phase.
     pub offset: Vec<usize>,
     /// Length of that row.
     pub width: usize,
@@ -254,8 +254,9 @@ impl Layout {
         });
         let mut width = 0;
         let offset = active.iter().map(|active| {
-            width += active.len();
-            width - active.len()
+            let offset = width;
+            width += active.len() + 2;
+            offset
         });
         Self {
             offset: offset.collect(),
@@ -300,9 +301,15 @@ impl Layout {
         wanted.filter_map(place).collect()
     }
 
-    /// Active columns of `joint` in a row of all joints' active columns.
+    /// Active columns of `joint` in a row of all joints.
     pub(super) fn columns<'r>(&self, joint: usize, row: &'r [f64]) -> &'r [f64] {
         &row[self.offset[joint]..][..self.active[joint].len()]
+    }
+
+    /// Active columns of `joint` in a row of all joints, and behind them `[sin(z q), cos(z q)]`, z the cogging cycles a turn;
+    /// zero where the description gives none.
+    pub(super) fn columns_and_cogging<'r>(&self, joint: usize, row: &'r [f64]) -> &'r [f64] {
+        &row[self.offset[joint]..][..self.active[joint].len() + 2]
     }
 
     /// Torque of the linear model at `joint` from its active columns, N·m.
@@ -311,15 +318,22 @@ impl Layout {
         pairs.map(|(x, &place)| x * theta[place]).sum()
     }
 
-    /// `[sin(z q), cos(z q)]` of every joint, z its cogging cycles a turn; zero where the description gives none.
-    pub fn cogging_basis(&self, q: &[f64]) -> PerJoint<[f64; 2]> {
-        PerJoint::from_fn(self.joints(), |joint| match self.cogging[joint] {
-            cycles if cycles > 0.0 => (cycles * q[joint]).sin_cos().into(),
-            _ => [0.0; 2],
-        })
+    /// Torque of the linear model and of cogging at `joint`, N·m.
+    ///
+    /// * `columns` with cogging; `amplitudes` of sine and cosine, N·m
+    pub(super) fn torque_with_cogging(
+        &self,
+        joint: usize,
+        columns: &[f64],
+        theta: &DVector<f64>,
+        amplitudes: [f64; 2],
+    ) -> f64 {
+        let cogging = columns[self.active[joint].len()..].iter().zip(amplitudes);
+        let cogging: f64 = cogging.map(|(x, amplitude)| x * amplitude).sum();
+        self.torque(joint, columns, theta) + cogging
     }
 
-    /// Appends the active columns of all joints at `motion` to `table`.
+    /// Appends the row of all joints at `motion` to `table`.
     ///
     /// * `age_s` time since the start of the log
     /// * `scratch` N × 11 N matrix, zero at first; entries that are always zero are never written.
@@ -341,7 +355,10 @@ impl Layout {
             let active = &self.active[joint];
             let inertial = active[..active.len() - friction.len()].iter();
             table.extend(inertial.map(|&place| scratch[(joint, self.standard[place])]));
-            let (cogging_sin, cogging_cos) = (self.cogging[joint] * q).sin_cos();
+            let (cogging_sin, cogging_cos) = match self.cogging[joint] {
+                cycles if cycles > 0.0 => (cycles * q).sin_cos(),
+                _ => (0.0, 0.0),
+            };
             let point = FrictionPoint {
                 qd,
                 sign: (qd / SIGN_WIDTH_RAD_S).tanh(),
@@ -356,6 +373,7 @@ impl Layout {
                 Cubic => qd.powi(3),
                 WarmUp => qd * age_s,
             }));
+            table.extend([cogging_sin, cogging_cos]);
         }
     }
 }

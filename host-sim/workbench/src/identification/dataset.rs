@@ -1,10 +1,11 @@
 //! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
 use super::columns::Layout;
-use super::normal::{Border, NormalEquations, SpeedSums};
+use super::normal::{NormalEquations, SpeedSums};
 use super::prepare::{Preparation, Prepared};
 use crate::dynamics::{Motion, PerJoint};
 use nalgebra::DVector;
+use std::borrow::Borrow;
 
 /// One row of the bounded sample.
 #[derive(Clone, Debug)]
@@ -19,10 +20,8 @@ pub struct SampleRow {
     pub clean: PerJoint<f64>,
     /// Joints that move.
     pub moving: PerJoint<bool>,
-    /// Active columns of all joints.
+    /// Active columns and cogging of all joints.
     pub panel: Box<[f64]>,
-    /// Sine and cosine of every joint's cogging phase, filtered as the columns are.
-    pub cogging_basis: PerJoint<[f64; 2]>,
 }
 
 impl SampleRow {
@@ -42,7 +41,6 @@ impl SampleRow {
             clean: values(&prepared.clean),
             moving: state.qd.map(|qd| qd.abs() > preparation.still_rad_s),
             panel: prepared.panel[row * layout.width..][..layout.width].into(),
-            cogging_basis: prepared.cogging_basis[row * joints..][..joints].into(),
         }
     }
 
@@ -63,36 +61,38 @@ pub(super) struct RowSums {
     pub(super) all: NormalEquations,
     /// Sums over the same rows without spikes.
     pub(super) clean: NormalEquations,
-    /// Border of each joint's clean sums by sine and cosine of cogging.
-    pub(super) cogging: Vec<Border>,
+    /// Clean sums with sine and cosine of each joint's cogging behind its columns.
+    pub(super) cogging: NormalEquations,
     pub(super) rows: usize,
 }
 
 impl RowSums {
     pub(super) fn new(layout: &Layout) -> Self {
-        let active = layout.active.iter();
         Self {
-            all: NormalEquations::new(layout),
-            clean: NormalEquations::new(layout),
-            cogging: active.map(|active| Border::new(active.len())).collect(),
+            all: NormalEquations::new(layout, 0),
+            clean: NormalEquations::new(layout, 0),
+            cogging: NormalEquations::new(layout, 2),
             rows: 0,
         }
     }
 
-    pub(super) fn add(&mut self, layout: &Layout, rows: &[&SampleRow]) {
-        for joint in 0..layout.joints() {
-            let (mut x, mut basis) = (Vec::new(), Vec::new());
-            let (mut tau, mut clean) = (Vec::new(), Vec::new());
-            for row in rows.iter().filter(|row| row.moving[joint]) {
-                x.extend_from_slice(row.columns(layout, joint));
-                basis.extend(row.cogging_basis[joint]);
-                tau.push(row.tau[joint]);
-                clean.push(row.clean[joint]);
-            }
-            self.all.joints[joint].add(&x, &tau);
-            self.clean.joints[joint].add(&x, &clean);
-            self.cogging[joint].add(&x, &basis, &clean);
-        }
+    /// Sums over these rows.
+    pub(super) fn of(layout: &Layout, rows: &[impl Borrow<SampleRow>]) -> Self {
+        let mut sums = Self::new(layout);
+        sums.add(layout, rows);
+        sums
+    }
+
+    fn add(&mut self, layout: &Layout, rows: &[impl Borrow<SampleRow>]) {
+        let columns = |row, joint| SampleRow::columns(row, layout, joint);
+        self.all
+            .add(rows, |row, joint| (columns(row, joint), row.tau[joint]));
+        self.clean
+            .add(rows, |row, joint| (columns(row, joint), row.clean[joint]));
+        self.cogging.add(rows, |row, joint| {
+            let columns = layout.columns_and_cogging(joint, &row.panel);
+            (columns, row.clean[joint])
+        });
         self.rows += rows.len();
     }
 }
@@ -181,7 +181,7 @@ impl Dataset {
         let rows: Vec<SampleRow> = rows
             .map(|row| SampleRow::of(layout, preparation, prepared, row))
             .collect();
-        self.sums.add(layout, &rows.iter().collect::<Vec<_>>());
+        self.sums.add(layout, &rows);
         rows.into_iter().for_each(|row| self.sample.push(row));
     }
 
@@ -227,7 +227,6 @@ pub(super) fn random_rows(
                 clean: PerJoint::repeat(6, 0.0),
                 moving: qd.map(|qd| qd.abs() > 0.05),
                 panel: panel.into(),
-                cogging_basis: layout.cogging_basis(&q),
             };
             let noise = draw(noise);
             row.tau = PerJoint::from_fn(6, |joint| torque(&row, joint) + noise[joint]);
@@ -235,4 +234,18 @@ pub(super) fn random_rows(
             row
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thinned_sample_is_even_and_reaches_the_end() {
+        let mut sample = Thinned::new(2000);
+        (0..16_000).for_each(|item| sample.push(item));
+        assert_eq!((sample.kept.len(), sample.stride), (2000, 8));
+        let even = sample.kept.iter().zip((0..).step_by(8));
+        assert!(even.into_iter().all(|(item, place)| *item == place));
+    }
 }

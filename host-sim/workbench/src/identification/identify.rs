@@ -4,24 +4,22 @@ use super::columns::{ColumnSet, Layout};
 use super::dataset::Dataset;
 use super::judge::{Judgement, after_fit, at_rest, change};
 use super::methods::{Fit, MethodName, wls};
-use super::normal::CoggingAmplitudes;
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, Problem, Progress, TrainingData};
-use super::record::{RIVALS, Report, Unseen};
+use super::record::{RIVALS, Report};
 use super::solve::solve_all;
 use super::stream::{folded, for_each_prepared};
-use super::study::{Methods, Study, key_of, recommended, truths};
+use super::study::{Study, key_of, recommended, truths};
 use super::{IdentifyError, joined, numbers};
 use crate::Refusal;
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use foretorque::arm::Arm;
 use foretorque::dynamics::COGGING_COLUMNS;
-use foretorque::feedforward::JointNetwork;
 use foretorque::learning::ParameterSet;
 use foretorque_link::bank::{NETWORK_SEED, ParameterBank};
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// Settings of an identification.
@@ -72,10 +70,8 @@ pub struct Outcome {
     pub bank_layout: Layout,
     /// The recommended fit over them.
     pub bank_fit: Fit,
-    /// The recommended residual networks, if it has any.
-    pub networks: Option<Vec<JointNetwork>>,
-    /// Their direct connections from the cogging phase, N·m.
-    pub cogging: Option<CoggingAmplitudes>,
+    /// The recommended model.
+    pub candidate: Candidate,
     /// The description with the consistent parameters, if they were asked for.
     pub robot: Option<Robot>,
     /// Time, measured and predicted torque on the first validation log: of the recommended method.
@@ -119,12 +115,14 @@ pub fn identify(
         unseen: Vec::new(),
         progress,
     };
-    let (mut methods, prepare) = (Methods::new(), &config.prepare);
-    let choosing = (validate, Unseen::Validation);
-    let trace = study.validate(choosing, prepare, &mut methods, &mut notes)?;
-    study.complete(&data, &mut methods)?;
-    let others = (&*config.test, Unseen::Test);
-    study.validate(others, prepare, &mut methods, &mut notes)?;
+    let prepare = &config.prepare;
+    let (trace, mut validation) = study.validate((validate, true), prepare, &mut notes)?;
+    let mut methods = study.methods(&data)?;
+    let (_, mut test) = study.validate((&config.test, false), prepare, &mut notes)?;
+    for (name, method) in &mut methods {
+        method.validation = validation.remove(name).unwrap_or_default();
+        method.test = test.remove(name).unwrap_or_default();
+    }
     let recommended = recommended(&study.results, &methods);
     let best = &study.results[recommended];
     let bank_fit = study.bank_fit(best, left_out.is_empty())?;
@@ -216,18 +214,11 @@ pub fn identify(
         methods,
         ..figures(config, &dataset, &layout)
     };
-    let (networks, cogging) = match &best.candidate {
-        Candidate::Residual {
-            networks, cogging, ..
-        } => (Some(networks.clone()), Some(*cogging)),
-        _ => (None, None),
-    };
     let trace = trace.into_iter();
     Ok(Outcome {
         report,
         bank_fit,
-        networks,
-        cogging,
+        candidate: best.candidate.clone(),
         robot: consistent,
         trace: trace
             .map(|(t_s, tau, predicted)| (t_s, tau, predicted[recommended]))
@@ -313,60 +304,51 @@ fn over(own: &[Option<f64>], other: &[Option<f64>], size: &[Option<f64>]) -> f64
 pub fn same_content(one: &Path, other: &Path) -> bool {
     let open = |path: &Path| {
         let kind = std::fs::metadata(path).ok().filter(|kind| kind.is_file())?;
-        let file = File::open(path).ok()?;
-        Some((kind.len(), BufReader::new(file)))
+        Some((kind.len(), BufReader::new(File::open(path).ok()?)))
     };
-    let (Some((size, mut one)), Some((other_size, mut other))) = (open(one), open(other)) else {
+    let (Some((size, one)), Some((other_size, other))) = (open(one), open(other)) else {
         return false;
     };
-    while let (true, Ok(a), Ok(b)) = (size == other_size, one.fill_buf(), other.fill_buf()) {
-        let count = a.len().min(b.len());
-        match count {
-            _ if a[..count] != b[..count] => return false,
-            0 => return a.len() == b.len(),
-            _ => [&mut one, &mut other].map(|file| file.consume(count)),
-        };
-    }
-    false
+    let mut pairs = one.bytes().zip(other.bytes());
+    size == other_size && pairs.all(|pair| matches!(pair, (Ok(a), Ok(b)) if a == b))
 }
 
-/// The bank of a fit over columns the board has; `None` when the layout is not that of `A`.
+/// The bank of the recommended parameters; `None` when their layout is not that of `A`.
 ///
-/// Columns without a fit are zero and keep the deviation of an unidentified bank.
-///
-/// * `layout` the columns of `fit`
-/// * `networks` one a joint; zero without
-/// * `cogging` direct connections of the networks from the cogging phase, N·m: they go to the board's cogging columns
+/// Columns without a fit are zero and keep the deviation of an unidentified bank. Direct connections of networks from the
+/// cogging phase go to the board's cogging columns.
 pub fn bank_of_fit<A: Arm<N, P>, const N: usize, const P: usize>(
     robot: &Robot,
-    layout: &Layout,
-    fit: &Fit,
-    networks: Option<&[JointNetwork]>,
-    cogging: Option<&CoggingAmplitudes>,
+    outcome: &Outcome,
 ) -> Option<ParameterBank> {
+    let (layout, fit) = (&outcome.bank_layout, &outcome.bank_fit);
     if layout.base != A::index().count {
         return None;
     }
     let mut set = ParameterSet::<N, P>::nominal::<A>(NETWORK_SEED);
-    if let Some(networks) = networks {
-        set.network = networks.try_into().ok()?;
+    let mut connections: &[[f64; 2]] = &[];
+    if let Candidate::Residual {
+        networks, cogging, ..
+    } = &outcome.candidate
+    {
+        set.network = networks.as_slice().try_into().ok()?;
+        connections = cogging;
     }
     let mut bank = ParameterBank::from_set::<A, N, P>(&set);
     let deviations = fit.deviations();
+    let names: Vec<String> = bank.columns.iter().map(|own| own.id.to_string()).collect();
+    let place_of = |name: &String| names.iter().position(|own| own == name);
     for (place, parameter) in layout.parameters.iter().enumerate() {
-        let mut columns = bank.columns.iter_mut();
-        let column = columns.find(|column| column.id.to_string() == parameter.name)?;
+        let column = &mut bank.columns[place_of(&parameter.name)?];
         column.value = fit.theta[place] as f32;
         column.deviation = deviations[place] as f32;
     }
-    for (joint, amplitudes) in cogging.iter().flat_map(|own| own.iter()).enumerate() {
+    for (joint, amplitudes) in connections.iter().enumerate() {
         for (column, amplitude) in COGGING_COLUMNS.into_iter().zip(amplitudes) {
             let name = format!("{}{}", column.properties().symbol, joint + 1);
-            let mut columns = bank.columns.iter_mut();
-            let column = columns.find(|column| column.id.to_string() == name);
             // An arm without cogging has no such column and no amplitude either.
-            match column {
-                Some(column) => column.value += *amplitude as f32,
+            match place_of(&name) {
+                Some(place) => bank.columns[place].value += *amplitude as f32,
                 None if *amplitude == 0.0 => (),
                 None => return None,
             }

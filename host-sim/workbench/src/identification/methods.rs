@@ -357,9 +357,7 @@ mod tests {
             let rows = random_rows(&layout, rows, 5, [3.0, 2.0, 5.0], 1.0, |row, joint| {
                 row.linear(&layout, &theta, joint)
             });
-            let mut sums = RowSums::new(&layout);
-            sums.add(&layout, &rows.iter().collect::<Vec<_>>());
-            sums.all
+            RowSums::of(&layout, &rows).all
         };
         let sums = equations(120);
         let free = wls(&sums, &layout).expect("solvable");

@@ -6,10 +6,13 @@
 
 use super::IdentifyError;
 use super::columns::Layout;
+use super::dataset::SampleRow;
 use crate::dynamics::PerJoint;
 use crate::metrics::{condition_of, scaled};
 use crate::training::SpeedPoint;
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
+use std::borrow::Borrow;
+use std::collections::BTreeMap;
 
 /// Least part of a column that the columns left of it do not explain, as a share of its length. Useful excitations leave
 /// 1e-2 and more, encoder noise on a joint that is held still about 1e-5.
@@ -67,10 +70,30 @@ pub(super) struct NormalEquations {
 }
 
 impl NormalEquations {
-    pub(super) fn new(layout: &Layout) -> Self {
+    /// Sums over no equations, with so many columns behind the active ones of each joint.
+    pub(super) fn new(layout: &Layout, more: usize) -> Self {
         let joints = layout.active.iter();
+        let joints = joints.map(|active| JointSums::new(active.len() + more));
         Self {
-            joints: joints.map(|active| JointSums::new(active.len())).collect(),
+            joints: joints.collect(),
+        }
+    }
+
+    /// Adds the equations of the joints that move in these rows: columns and torque, N·m.
+    pub(super) fn add<'r>(
+        &mut self,
+        rows: &'r [impl Borrow<SampleRow>],
+        equation: impl Fn(&'r SampleRow, usize) -> (&'r [f64], f64),
+    ) {
+        for (joint, sums) in self.joints.iter_mut().enumerate() {
+            let (mut x, mut tau) = (Vec::new(), Vec::new());
+            let rows = rows.iter().map(Borrow::borrow);
+            for row in rows.filter(|row| row.moving[joint]) {
+                let (columns, torque) = equation(row, joint);
+                x.extend_from_slice(columns);
+                tau.push(torque);
+            }
+            sums.add(&x, &tau);
         }
     }
 
@@ -187,49 +210,29 @@ pub type CoggingAmplitudes = PerJoint<[f64; 2]>;
 /// chance in one case of a hundred [chi-squared, 2 degrees of freedom].
 const CERTAIN: f64 = 9.21;
 
-/// Sums that border one joint's equations by its sine and cosine, filtered as the equations were.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Border {
-    /// XᵀS.
-    cross: DMatrix<f64>,
-    /// SᵀS.
-    gram: Matrix2<f64>,
-    /// Sᵀτ.
-    moment: Vector2<f64>,
-}
-
-impl Border {
-    pub(super) fn new(active: usize) -> Self {
-        Self {
-            cross: DMatrix::zeros(active, 2),
-            gram: Matrix2::zeros(),
-            moment: Vector2::zeros(),
-        }
-    }
-
-    /// Adds rows: `x` row after row, `basis` sine and cosine a row, `tau` one a row.
-    pub(super) fn add(&mut self, x: &[f64], basis: &[f64], tau: &[f64]) {
-        if tau.is_empty() {
-            return;
-        }
-        let columns = DMatrixView::from_slice(x, self.cross.nrows(), tau.len());
-        let basis = DMatrixView::from_slice(basis, 2, tau.len());
-        self.cross += columns * basis.transpose();
-        self.gram += basis * basis.transpose();
-        self.moment += basis * DVector::from_column_slice(tau);
+impl JointSums {
+    /// XᵀS, SᵀS and Sᵀτ, where the last two columns S are sine and cosine of cogging, filtered as the others, X, were.
+    fn border(&self) -> (DMatrixView<'_, f64>, Matrix2<f64>, Vector2<f64>) {
+        let active = self.moment.len() - 2;
+        let gram = self.gram.fixed_view::<2, 2>(active, active);
+        let moment = self.moment.fixed_rows::<2>(active);
+        let cross = self.gram.view((0, active), (active, 2));
+        (cross, gram.into_owned(), moment.into_owned())
     }
 
     /// Subtracts the torque of these amplitudes (N·m) from the equations of the joint.
-    pub(super) fn subtract(&self, amplitude: [f64; 2], sums: &mut JointSums) {
+    pub(super) fn subtract_cogging(&self, amplitude: [f64; 2], sums: &mut Self) {
+        let (cross, gram, moment) = self.border();
         let amplitude = Vector2::from(amplitude);
-        sums.moment -= &self.cross * amplitude;
-        sums.power -= 2.0 * self.moment.dot(&amplitude) - amplitude.dot(&(self.gram * amplitude));
+        sums.moment -= cross * amplitude;
+        sums.power -= 2.0 * moment.dot(&amplitude) - amplitude.dot(&(gram * amplitude));
     }
 
     /// Least-squares amplitudes for the residuals of `theta`, N·m; zero where noise of `sigma`, N·m, explains them.
-    pub(super) fn best(&self, theta: &DVector<f64>, sigma: f64) -> [f64; 2] {
-        let left = self.moment - self.cross.tr_mul(theta);
-        let Some(inverse) = self.gram.try_inverse() else {
+    pub(super) fn best_cogging(&self, theta: &DVector<f64>, sigma: f64) -> [f64; 2] {
+        let (cross, gram, moment) = self.border();
+        let left = moment - cross.tr_mul(theta);
+        let Some(inverse) = gram.try_inverse() else {
             return [0.0; 2];
         };
         let amplitude = inverse * left;
@@ -253,15 +256,15 @@ struct Bin {
     count: f64,
     qd: f64,
     tau: f64,
-    /// Sine and cosine of the cogging phase, then the active columns.
+    /// Active columns, then sine and cosine of the cogging phase.
     x: Vec<f64>,
 }
 
 /// Sums of every joint, for two halves of the log that take turns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpeedSums {
-    /// One sparse row of bins a half and joint.
-    bins: Vec<Vec<Option<Box<Bin>>>>,
+    /// Bins by their place among all, for each half and joint.
+    bins: Vec<BTreeMap<usize, Bin>>,
 }
 
 impl Bin {
@@ -278,41 +281,30 @@ impl Bin {
 impl SpeedSums {
     pub(super) fn new(joints: usize) -> Self {
         Self {
-            bins: vec![vec![None; BINS]; 2 * joints],
+            bins: vec![BTreeMap::new(); 2 * joints],
         }
     }
 
     fn put(&mut self, row: usize, place: usize, new: Bin) {
-        match &mut self.bins[row][place] {
-            Some(bin) => bin.add(&new),
-            empty => *empty = Some(Box::new(new)),
-        }
+        let bin = self.bins[row].entry(place);
+        bin.and_modify(|bin| bin.add(&new)).or_insert(new);
     }
 
     /// Adds one row of one joint in one half of the log.
     ///
-    /// * `basis` sine and cosine of the cogging phase; `columns` active columns of the joint; `tau` N·m
-    pub(super) fn add(
-        &mut self,
-        (joint, half): (usize, usize),
-        qd: f64,
-        basis: &[f64; 2],
-        columns: &[f64],
-        tau: f64,
-    ) {
+    /// * `x` columns of the joint with cogging; `tau` N·m
+    pub(super) fn add(&mut self, (joint, half): (usize, usize), qd: f64, x: &[f64], tau: f64) {
         let share = (qd / FINE_RAD_S).asinh() / (FASTEST_RAD_S / FINE_RAD_S).asinh();
         let place = ((0.5 * (share + 1.0) * BINS as f64).max(0.0) as usize).min(BINS - 1);
-        let (count, x) = (1.0, [basis, columns].concat());
+        let (count, x) = (1.0, x.to_vec());
         self.put(2 * joint + half, place, Bin { count, qd, tau, x });
     }
 
     /// Adds all rows of another part of the log.
     pub(super) fn merge(&mut self, other: &Self) {
         for (row, bins) in other.bins.iter().enumerate() {
-            for (place, bin) in bins.iter().enumerate() {
-                if let Some(bin) = bin {
-                    self.put(row, place, Bin::clone(bin));
-                }
+            for (place, bin) in bins {
+                self.put(row, *place, bin.clone());
             }
         }
     }
@@ -323,13 +315,13 @@ impl SpeedSums {
     /// a motion are the same but for the number of rows.
     pub(super) fn subtract(&self, joint: usize, sums: &mut JointSums, torque: &dyn Fn(f64) -> f64) {
         let halves = &self.bins[2 * joint..2 * joint + 2];
-        let bins = || halves.iter().flatten().flatten();
+        let bins = || halves.iter().flat_map(BTreeMap::values);
         let all: f64 = bins().map(|bin| bin.count).sum();
         let share = sums.count / all.max(1.0);
         for bin in bins() {
             let torque = torque(bin.qd / bin.count);
             sums.power -= share * torque * (2.0 * bin.tau - torque * bin.count);
-            for (moment, x) in sums.moment.iter_mut().zip(&bin.x[2..]) {
+            for (moment, x) in sums.moment.iter_mut().zip(&bin.x) {
                 *moment -= share * torque * x;
             }
         }
@@ -344,13 +336,12 @@ impl SpeedSums {
         (joint, half): (usize, usize),
         unit: f64,
     ) -> Vec<SpeedPoint> {
-        let bins = self.bins[2 * joint + half].iter().flatten();
+        let bins = self.bins[2 * joint + half].values();
         bins.map(|bin| {
-            let linear = layout.torque(joint, &bin.x[2..], theta);
-            let cogging = cogging[0] * bin.x[0] + cogging[1] * bin.x[1];
+            let model = layout.torque_with_cogging(joint, &bin.x, theta, cogging);
             SpeedPoint {
                 qd: bin.qd / bin.count,
-                residual: (bin.tau - linear - cogging) / bin.count / unit,
+                residual: (bin.tau - model) / bin.count / unit,
                 weight: bin.count,
             }
         })

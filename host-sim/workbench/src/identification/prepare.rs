@@ -314,24 +314,13 @@ pub(super) fn states(joints: usize, tables: [&[f64]; 3]) -> Vec<Motion> {
     rows.map(|((q, qd), qdd)| Motion { q, qd, qdd }).collect()
 }
 
-/// A stretch of a log, with the rows around it that its filters need.
-#[derive(Clone, Debug)]
-pub struct Stretch {
-    /// Rows, margins included.
-    pub rows: Vec<LogRow>,
-    /// The rows that count.
-    pub core: Range<usize>,
-}
-
 /// Rows of the linear model from a stretch.
 #[derive(Clone, Debug)]
 pub struct Prepared {
     /// Motion of all its rows, margins included.
     pub states: Vec<Motion>,
-    /// Active columns of all joints, row after row, filtered.
+    /// Active columns and cogging of all joints, row after row, filtered.
     pub panel: Vec<f64>,
-    /// Sine and cosine of the cogging phase of all joints, row after row, filtered.
-    pub cogging_basis: Vec<[f64; 2]>,
     /// Torques, one a joint and row, filtered, N·m.
     pub tau: Vec<f64>,
     /// Torques with spikes taken out before filtering, N·m.
@@ -347,20 +336,23 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// The rows of a stretch.
-    pub fn new(stretch: &Stretch, preparation: &Preparation, layout: &Layout) -> Self {
-        let rows = stretch.rows.iter();
-        let tau: Vec<f64> = rows.flat_map(|row| row.tau.to_vec()).collect();
+    /// Rows of a log, margins included, of which those in `core` count.
+    pub(super) fn new(
+        rows: &[LogRow],
+        core: &Range<usize>,
+        preparation: &Preparation,
+        layout: &Layout,
+    ) -> Self {
+        let tau: Vec<f64> = rows.iter().flat_map(|row| row.tau.to_vec()).collect();
         let (clean, spikes) = despiked(&tau, layout.joints(), preparation.spike_reach());
         let raw = Self {
-            states: preparation.motion(&stretch.rows),
+            states: preparation.motion(rows),
             panel: Vec::new(),
-            cogging_basis: Vec::new(),
             tau,
             clean,
             spikes,
-            core: stretch.core.clone(),
-            t_s: stretch.rows.iter().map(|row| row.t_s).collect(),
+            core: core.clone(),
+            t_s: rows.iter().map(|row| row.t_s).collect(),
             speeds: SpeedSums::new(layout.joints()),
         };
         raw.filled(preparation, layout, &|table, width| {
@@ -386,8 +378,6 @@ impl Prepared {
         for (state, t_s) in self.states.iter().zip(&self.t_s) {
             let age_s = t_s - preparation.start_s;
             layout.append_row(state, age_s, &mut scratch, &mut self.panel);
-            let basis = layout.cogging_basis(&state.q);
-            self.cogging_basis.extend_from_slice(&basis);
         }
         for row in self.core.clone() {
             // Blocks of a second take turns.
@@ -396,15 +386,13 @@ impl Prepared {
             for joint in 0..joints {
                 let (qd, place) = (self.states[row].qd[joint], row * joints + joint);
                 if qd.abs() > preparation.still_rad_s {
-                    let (basis, columns) =
-                        (&self.cogging_basis[place], layout.columns(joint, panel));
+                    let columns = layout.columns_and_cogging(joint, panel);
                     self.speeds
-                        .add((joint, half), qd, basis, columns, self.clean[place]);
+                        .add((joint, half), qd, columns, self.clean[place]);
                 }
             }
         }
         smooth(&mut self.panel, layout.width);
-        smooth(self.cogging_basis.as_flattened_mut(), 2 * joints);
         smooth(&mut self.tau, joints);
         smooth(&mut self.clean, joints);
         self

@@ -4,6 +4,7 @@ use super::columns::Layout;
 use super::dataset::{Dataset, RowSums, SampleRow};
 use super::methods::{Fit, MethodName, huber};
 use super::normal::{CoggingAmplitudes, NormalEquations, SpeedSums};
+use super::record::MethodRecord;
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::Robot;
 use crate::training::{BlackBox, LinearLayer};
@@ -48,15 +49,18 @@ impl<'a> TrainingData<'a> {
 
     /// Training data of some sampled rows only.
     pub(super) fn of(layout: &Layout, sample: Vec<&'a SampleRow>) -> Self {
-        let mut sums = RowSums::new(layout);
-        sums.add(layout, &sample);
+        let sums = RowSums::of(layout, &sample);
         let mut speeds = SpeedSums::new(layout.joints());
         for (place, row) in sample.iter().enumerate() {
             let half = 10 * place / sample.len() % 2;
             for joint in (0..layout.joints()).filter(|&joint| row.moving[joint]) {
-                let (qd, columns) = (row.state.qd[joint], row.columns(layout, joint));
-                let basis = &row.cogging_basis[joint];
-                speeds.add((joint, half), qd, basis, columns, row.clean[joint]);
+                let columns = layout.columns_and_cogging(joint, &row.panel);
+                speeds.add(
+                    (joint, half),
+                    row.state.qd[joint],
+                    columns,
+                    row.clean[joint],
+                );
             }
         }
         Self {
@@ -111,20 +115,14 @@ pub enum Candidate {
 }
 
 impl Candidate {
-    /// Torque at a joint without networks, N·m, from its active columns and the sine and cosine of its cogging phase.
-    pub(super) fn linear(
-        &self,
-        layout: &Layout,
-        joint: usize,
-        columns: &[f64],
-        basis: &[f64; 2],
-    ) -> f64 {
+    /// Torque at a joint without networks, N·m, from a row of all joints.
+    pub(super) fn linear(&self, layout: &Layout, joint: usize, row: &[f64]) -> f64 {
+        let columns = layout.columns_and_cogging(joint, row);
         match self {
             Self::Linear(theta) => layout.torque(joint, columns, theta),
             Self::BlackBox(_) => 0.0,
             Self::Residual { theta, cogging, .. } => {
-                let [sine, cosine] = cogging[joint];
-                layout.torque(joint, columns, theta) + (sine * basis[0] + cosine * basis[1])
+                layout.torque_with_cogging(joint, columns, theta, cogging[joint])
             }
         }
     }
@@ -151,8 +149,7 @@ impl Candidate {
             .network(&row.state)
             .unwrap_or(PerJoint::repeat(joints, 0.0));
         PerJoint::from_fn(joints, |joint| {
-            let columns = row.columns(layout, joint);
-            self.linear(layout, joint, columns, &row.cogging_basis[joint]) + network[joint]
+            self.linear(layout, joint, &row.panel) + network[joint]
         })
     }
 }
@@ -170,35 +167,28 @@ pub struct MethodResult {
     pub linear: Option<Fit>,
     /// The robot it describes, if it describes one.
     pub robot: Option<Robot>,
-    /// Rows it was trained on.
-    pub rows: usize,
-    /// Epochs or iterations.
-    pub epochs: usize,
-    /// Time of the fit, the sums over the rows apart, s.
-    pub seconds: f64,
-    /// Epoch and loss, thinned.
-    pub losses: Vec<(usize, f64)>,
-    /// Epochs of `bp_physical` to 1.05 times the loss of weighted least squares.
-    pub epochs_to_wls: Option<usize>,
-    /// Cost of physical consistency, nats.
-    pub distance_nats: Option<f64>,
+    /// Figures of the training.
+    pub record: MethodRecord,
 }
 
 impl MethodResult {
-    /// A result of nothing but a model and its rows.
-    pub(super) fn plain(name: MethodName, candidate: Candidate, rows: usize) -> Self {
+    /// A result of nothing but a model, and the rows and epochs of its training.
+    pub(super) fn plain(
+        name: MethodName,
+        candidate: Candidate,
+        (rows, epochs): (usize, usize),
+    ) -> Self {
         Self {
             name,
             candidate,
             fit: None,
             linear: None,
             robot: None,
-            rows,
-            epochs: 0,
-            seconds: 0.0,
-            losses: Vec::new(),
-            epochs_to_wls: None,
-            distance_nats: None,
+            record: MethodRecord {
+                rows,
+                epochs,
+                ..MethodRecord::default()
+            },
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::columns::Layout;
 use super::judge::{Finding, Judgement};
-use super::problem::MethodResult;
+use super::methods::Fit;
 use crate::dynamics::PerJoint;
 use crate::metrics::{ErrorSums, nrmse};
 use nalgebra::DVector;
@@ -228,63 +228,38 @@ pub struct Report {
     pub data_check: Option<Judgement>,
 }
 
-/// Unseen logs that choose the method, and those that choose nothing.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Unseen {
-    Validation,
-    Test,
-}
-
 /// Names of the rivals in the table of methods.
 pub(super) const RIVALS: [&str; 2] = ["description", "zero"];
 
 impl MethodRecord {
-    pub(super) fn unseen(&mut self, kind: Unseen) -> &mut BTreeMap<String, ValidationRecord> {
-        match kind {
-            Unseen::Validation => &mut self.validation,
-            Unseen::Test => &mut self.test,
-        }
-    }
-
-    /// The record of a result, without validation logs.
+    /// Adds the parameters of a fit.
     ///
     /// * `described` parameters of the description; `intervals` 95 % of each parameter
-    pub(super) fn of(
-        result: &MethodResult,
+    pub(super) fn add_parameters(
+        &mut self,
+        fit: &Fit,
         layout: &Layout,
         truth: Option<&[Option<f64>]>,
         described: &DVector<f64>,
         intervals: Option<&[[f64; 2]]>,
-    ) -> Self {
-        let mut record = Self {
-            rows: result.rows,
-            epochs: result.epochs,
-            seconds: result.seconds,
-            loss_ratio: result.losses.clone(),
-            distance_from_free_nats: result.distance_nats,
-            ..Self::default()
-        };
-        if let Some(fit) = &result.fit {
-            record.noise_nm = fit.sigma.to_vec();
-            record.base_parameter_error_ratio =
-                truth.and_then(|truth| base_error(&fit.theta, truth, layout.base));
-            let deviations = fit.deviations();
-            let named = layout.parameters.iter().enumerate();
-            // Columns the method does not have carry neither value nor deviation.
-            let own = named.filter(|(place, _)| fit.covariance[(*place, *place)] > 0.0);
-            record.parameters = own
-                .map(|(place, parameter)| ParameterRecord {
-                    name: parameter.name.clone(),
-                    value: fit.theta[place],
-                    unit: parameter.unit.to_owned(),
-                    std: deviations[place],
-                    ci95: intervals.map(|intervals| intervals[place]),
-                    description: Some(described[place]),
-                    truth: truth.and_then(|truth| truth[place]),
-                })
-                .collect();
-        }
-        record
+    ) {
+        self.noise_nm = fit.sigma.to_vec();
+        self.base_parameter_error_ratio =
+            truth.and_then(|truth| base_error(&fit.theta, truth, layout.base));
+        let deviations = fit.deviations();
+        let named = layout.parameters.iter().enumerate();
+        // Columns the method does not have carry neither value nor deviation.
+        let own = named.filter(|(place, _)| fit.covariance[(*place, *place)] > 0.0);
+        let parameters = own.map(|(place, parameter)| ParameterRecord {
+            name: parameter.name.clone(),
+            value: fit.theta[place],
+            unit: parameter.unit.to_owned(),
+            std: deviations[place],
+            ci95: intervals.map(|intervals| intervals[place]),
+            description: Some(described[place]),
+            truth: truth.and_then(|truth| truth[place]),
+        });
+        self.parameters = parameters.collect();
     }
 }
 

@@ -64,12 +64,10 @@ pub(super) fn solve_all(
         .map(|name| {
             progress(&name.to_string());
             let start = Instant::now();
-            let result = solve_one(*name, problem, data, robust.as_ref(), progress)?;
+            let mut result = solve_one(*name, problem, data, robust.as_ref(), progress)?;
             let shared_s = if is_robust(name) { robust_s } else { 0.0 };
-            Ok(MethodResult {
-                seconds: shared_s + start.elapsed().as_secs_f64(),
-                ..result
-            })
+            result.record.seconds = shared_s + start.elapsed().as_secs_f64();
+            Ok(result)
         })
         .collect()
 }
@@ -86,10 +84,10 @@ fn solve_one(
     let robust = || robust.ok_or(IdentifyError::Unsolvable);
     let linear = |fit: Result<Fit, IdentifyError>, rows| {
         let fit = fit?;
+        let candidate = Candidate::Linear(fit.theta.clone());
         Ok(MethodResult {
-            epochs: fit.iterations,
             fit: Some(fit.clone()),
-            ..MethodResult::plain(name, Candidate::Linear(fit.theta), rows)
+            ..MethodResult::plain(name, candidate, (rows, fit.iterations))
         })
     };
     match name {
@@ -99,11 +97,10 @@ fn solve_one(
         MethodName::Consistent => {
             let found = consistent(problem.robot, layout, robust()?);
             let found = found.ok_or(IdentifyError::Unsolvable)?;
-            Ok(MethodResult {
-                robot: Some(found.robot),
-                distance_nats: Some(found.distance_nats),
-                ..linear(Ok(found.fit), sampled)?
-            })
+            let mut result = linear(Ok(found.fit), sampled)?;
+            result.robot = Some(found.robot);
+            result.record.distance_from_free_nats = Some(found.distance_nats);
+            Ok(result)
         }
         MethodName::Evidence => {
             let free = robust()?;
@@ -131,17 +128,16 @@ fn physical(
     let config = PhysicalConfig::new(Descent::Accelerated, problem.seed);
     let trained = layer.train(&config, &mut watch);
     let candidate = Candidate::Linear(trained.theta.clone());
-    Ok(MethodResult {
-        epochs: trained.losses.len().saturating_sub(1),
-        losses: thinned(&trained.losses),
-        epochs_to_wls: trained.epochs_to(1.05, goal),
-        // The minimum is that of weighted least squares, and so is the uncertainty.
-        fit: Some(Fit {
-            theta: trained.theta,
-            ..reference
-        }),
-        ..MethodResult::plain(MethodName::BpPhysical, candidate, data.sums.rows)
-    })
+    let size = (data.sums.rows, trained.losses.len().saturating_sub(1));
+    let mut result = MethodResult::plain(MethodName::BpPhysical, candidate, size);
+    result.record.loss_ratio = thinned(&trained.losses);
+    result.record.epochs_to_1_05_wls = Some([trained.epochs_to(1.05, goal), None]);
+    // The minimum is that of weighted least squares, and so is the uncertainty.
+    result.fit = Some(Fit {
+        theta: trained.theta,
+        ..reference
+    });
+    Ok(result)
 }
 
 fn black_box(
@@ -154,13 +150,11 @@ fn black_box(
     let network = BlackBox::train(&rows, problem.seed, &mut |epoch, loss| {
         progress(&format!("bp_black_box  epoch {epoch}  loss {loss:.5}"));
     });
-    let (epochs, losses) = (network.losses.len(), thinned(&network.losses));
+    let (size, losses) = ((rows.len(), network.losses.len()), thinned(&network.losses));
     let candidate = Candidate::BlackBox(Box::new(network));
-    MethodResult {
-        epochs,
-        losses,
-        ..MethodResult::plain(MethodName::BpBlackBox, candidate, rows.len())
-    }
+    let mut result = MethodResult::plain(MethodName::BpBlackBox, candidate, size);
+    result.record.loss_ratio = losses;
+    result
 }
 
 /// Number of fits of the linear model, each to what the networks leave: a friction curve that the linear model cannot
@@ -186,7 +180,7 @@ fn residual(
     if !problem.networks {
         return Ok(MethodResult {
             fit: Some(alone),
-            ..MethodResult::plain(MethodName::BpResidual, plain, data.sample.len())
+            ..MethodResult::plain(MethodName::BpResidual, plain, (data.sample.len(), 0))
         });
     }
     let joints = problem.layout.joints();
@@ -231,13 +225,11 @@ fn residual(
     if !better {
         (candidate, fit) = (plain, alone.clone());
     }
-    Ok(MethodResult {
-        fit: Some(fit),
-        linear: Some(alone),
-        epochs: mean.len(),
-        losses: thinned(&mean),
-        ..MethodResult::plain(MethodName::BpResidual, candidate, data.sample.len())
-    })
+    let size = (data.sample.len(), mean.len());
+    let mut result = MethodResult::plain(MethodName::BpResidual, candidate, size);
+    result.record.loss_ratio = thinned(&mean);
+    (result.fit, result.linear) = (Some(fit), Some(alone));
+    Ok(result)
 }
 
 /// Mean square residual of the sampled rows, every joint in units of its `sigma`, N·m.
@@ -271,12 +263,12 @@ fn fit(
         let mut rest = sums.clone();
         for (joint, amplitude) in cogging.iter().enumerate() {
             let sums = &mut rest.joints[joint];
-            data.sums.cogging[joint].subtract(*amplitude, sums);
+            data.sums.cogging.joints[joint].subtract_cogging(*amplitude, sums);
         }
         let found = widened(&wls(&rest.subset(layout, board), board)?, layout, board);
         for (joint, amplitude) in cogging.iter_mut().enumerate() {
             let own = found.theta.select_rows(&layout.active[joint]);
-            *amplitude = data.sums.cogging[joint].best(&own, found.sigma[joint]);
+            *amplitude = data.sums.cogging.joints[joint].best_cogging(&own, found.sigma[joint]);
         }
         fit = Some(found);
     }

@@ -12,11 +12,16 @@ use crate::Refusal;
 use crate::parallel::{cores, in_parallel};
 use crate::robot::Robot;
 use crate::table::TableError;
+use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 use std::path::Path;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
 /// Rows of one stretch, margins apart. Large against the margins, small enough for a few of them in memory.
 const STRETCH: usize = 16_384;
+
+/// Rows of a log, with those around them that its filters need, and the ones that count.
+type Stretch = (Vec<LogRow>, Range<usize>);
 
 /// Gaps that are noted one by one.
 const GAPS: usize = 3;
@@ -39,14 +44,14 @@ pub fn for_each_prepared(
     let preparation = Preparation::of_log(&log, config, path, notes);
     let (workers, cut) = (cores(), &preparation);
     std::thread::scope(|scope| {
-        let (to_workers, stretches) = sync_channel::<Stretch>(workers);
+        let (to_workers, stretches) = sync_channel(workers);
         let reading = scope.spawn(move || cut_into_stretches(&mut log, cut, path, &to_workers));
         loop {
             let batch: Vec<Stretch> = stretches.iter().take(workers).collect();
             if batch.is_empty() {
                 break;
             }
-            let prepare = |stretch: &Stretch| Prepared::new(stretch, cut, layout);
+            let prepare = |(rows, core): &Stretch| Prepared::new(rows, core, cut, layout);
             for prepared in in_parallel(workers, &batch, prepare, || ()) {
                 take(cut, prepared);
             }
@@ -72,9 +77,9 @@ fn cut_into_stretches(
     // Rows not yet sent with the margin before them; `begin` is where the unsent core starts.
     let mut rows: Vec<LogRow> = Vec::new();
     let mut begin = edge;
-    let send = |rows: Vec<LogRow>, core: std::ops::Range<usize>| {
+    let send = |stretch: Stretch| {
         // The receiver is gone only when a worker has panicked, which the scope reports.
-        let _ = to_workers.send(Stretch { rows, core });
+        let _ = to_workers.send(stretch);
     };
     loop {
         let row = log.next_row()?;
@@ -92,14 +97,14 @@ fn cut_into_stretches(
             let end = rows.len().saturating_sub(edge);
             let rows = std::mem::take(&mut rows);
             if begin < end {
-                send(rows, begin..end);
+                send((rows, begin..end));
             }
             begin = edge;
         } else if rows.len() >= begin + STRETCH + margin {
             let end = begin + STRETCH;
             let keep = end.saturating_sub(margin);
             let rest = rows[keep..].to_vec();
-            send(std::mem::replace(&mut rows, rest), begin..end);
+            send((std::mem::replace(&mut rows, rest), begin..end));
             begin = end - keep;
         }
         match row {
@@ -172,11 +177,11 @@ pub(super) fn folded(
     } else {
         ""
     };
-    if fold.sums.count.contains(&0.0) {
+    if !fold.is_whole() {
         let problem = format!("the log does not show a whole period of {period_s} s");
         return Err(refused(path, problem));
     }
-    let phases = fold.sums.count.len();
+    let phases = fold.sums.ncols();
     let Some(late_rows) = fold.repeats.late_rows() else {
         let problem = format!(
             "the positions do not repeat every {period_s} s: cut off what is not the excitation, or give its period"
@@ -192,7 +197,7 @@ pub(super) fn folded(
     let on = of_torque.map_or("as they are".to_owned(), |count| format!("on {count}"));
     notes.push(format!(
         "{name}: {:.2} periods of {period_s} s folded into one{run_in}; motion on {of_motion} harmonics, torque and regressor {on}",
-        fold.sums.count.iter().sum::<f64>() / phases as f64
+        fold.sums.row(0).sum() / phases as f64
     ));
     let mut preparation = fold.preparation(config);
     let stride = |count: usize| (phases / (2 * count + 1)).max(1);
@@ -210,30 +215,6 @@ pub(super) fn folded(
 /// Periods from which the first one is left out: the arm runs in.
 const PERIODS: usize = 3;
 
-/// Sums at each phase.
-struct PhaseSums {
-    count: Vec<f64>,
-    t_s: Vec<f64>,
-    /// Positions, torques, and torques without spikes.
-    tables: [Vec<f64>; 3],
-}
-
-impl PhaseSums {
-    fn zeros(phases: usize, joints: usize) -> Self {
-        Self {
-            count: vec![0.0; phases],
-            t_s: vec![0.0; phases],
-            tables: [(); 3].map(|()| vec![0.0; phases * joints]),
-        }
-    }
-
-    /// All sums.
-    fn each(&mut self) -> impl Iterator<Item = &mut f64> {
-        let tables = self.tables.iter_mut().flatten();
-        self.count.iter_mut().chain(&mut self.t_s).chain(tables)
-    }
-}
-
 /// Sums over all periods at each phase.
 struct Fold {
     start_s: f64,
@@ -243,9 +224,10 @@ struct Fold {
     /// Harmonics of the motion, and of torque and regressor where these have a cut-off.
     harmonics: (usize, Option<usize>),
     joints: usize,
-    sums: PhaseSums,
+    /// One column a phase: rows, their times, positions, torques, and torques without spikes.
+    sums: DMatrix<f64>,
     /// Those of the first period, once it is over.
-    first: Option<PhaseSums>,
+    first: Option<DMatrix<f64>>,
     /// Rows so far, lost ones included.
     rows: usize,
     spikes: usize,
@@ -321,7 +303,7 @@ impl Fold {
             late: 0.0,
             harmonics,
             joints,
-            sums: PhaseSums::zeros(phases, joints),
+            sums: DMatrix::zeros(2 + 3 * joints, phases),
             first: None,
             rows: 0,
             spikes: 0,
@@ -357,15 +339,16 @@ impl Fold {
                     self.row_s
                 ))));
             }
-            let (place, phases) = (place.round() as usize, self.sums.count.len());
+            let (place, phases) = (place.round() as usize, self.sums.ncols());
             self.rows = place + 1;
             if place >= phases && self.first.is_none() {
-                let others = PhaseSums::zeros(phases, joints);
-                self.first = Some(std::mem::replace(&mut self.sums, others));
+                self.first = Some(self.sums.clone());
+                self.sums.fill(0.0);
             }
             let phase = place % phases;
-            self.sums.count[phase] += 1.0;
-            self.sums.t_s[phase] += row.t_s;
+            let values = [&[1.0, row.t_s], &row.q[..], &row.tau, clean].concat();
+            let mut sums = self.sums.column_mut(phase);
+            sums += DVector::from_vec(values);
             for (joint, &q) in row.q.iter().enumerate() {
                 let last = self.period_before[phase * joints + joint].replace(q);
                 if let (Some(last), Some(row)) = (last, self.row_before.get(joint)) {
@@ -378,26 +361,22 @@ impl Fold {
                 sums.for_each(|(sum, value)| *sum += value);
             }
             self.row_before = row.q.to_vec();
-            let tables = self.sums.tables.iter_mut();
-            for (table, values) in tables.zip([&row.q[..], &row.tau, clean]) {
-                let sums = &mut table[phase * joints..][..joints];
-                sums.iter_mut()
-                    .zip(values)
-                    .for_each(|(sum, value)| *sum += value);
-            }
         }
         Ok(())
     }
 
     /// Leaves the first period out where enough others are there, which show all of it.
     fn leave_run_in(&mut self) -> bool {
-        let leaves =
-            self.rows >= PERIODS * self.sums.count.len() && !self.sums.count.contains(&0.0);
-        if let Some(mut first) = self.first.take().filter(|_| !leaves) {
-            let sums = self.sums.each().zip(first.each());
-            sums.for_each(|(sum, first)| *sum += *first);
+        let leaves = self.rows >= PERIODS * self.sums.ncols() && self.is_whole();
+        if let Some(first) = self.first.take().filter(|_| !leaves) {
+            self.sums += first;
         }
         leaves
+    }
+
+    /// There is a row at every phase.
+    fn is_whole(&self) -> bool {
+        self.sums.row(0).iter().all(|count| *count > 0.0)
     }
 
     fn preparation(&self, config: &PrepareConfig) -> Preparation {
@@ -406,27 +385,23 @@ impl Fold {
 
     /// The mean period, its motion on harmonics.
     fn period(self, harmonics: usize, period_s: f64) -> Prepared {
-        let (joints, mut folded) = (self.joints, self.sums);
-        for (phase, count) in folded.count.iter().enumerate() {
-            folded.t_s[phase] /= count;
-            for table in &mut folded.tables {
-                let sums = &mut table[phase * joints..][..joints];
-                sums.iter_mut().for_each(|sum| *sum /= count);
-            }
+        let (joints, mut means) = (self.joints, self.sums);
+        for mut phase in means.column_iter_mut() {
+            phase /= phase[0];
         }
-        let [q, tau, clean] = folded.tables;
+        let table = |first: usize| means.rows(first, joints).iter().copied().collect();
+        let [q, tau, clean]: [Vec<f64>; 3] = [0, 1, 2].map(|k| table(2 + k * joints));
         let series = Harmonics::of(&q, joints, harmonics);
         let [q, qd, qdd] = [0, 1, 2].map(|order| series.evaluate(order, period_s));
         Prepared {
             states: states(joints, [&q, &qd, &qdd]),
             panel: Vec::new(),
-            cogging_basis: Vec::new(),
             speeds: SpeedSums::new(joints),
             tau,
             clean,
             spikes: self.spikes,
-            core: 0..folded.count.len(),
-            t_s: folded.t_s,
+            core: 0..means.ncols(),
+            t_s: means.row(1).iter().copied().collect(),
         }
     }
 }
@@ -434,9 +409,9 @@ impl Fold {
 #[cfg(test)]
 mod tests {
     use super::super::columns::ColumnSet;
+    use super::super::log_tests::{first_joints, log_of};
     use super::*;
     use std::f64::consts::TAU;
-    use std::fmt::Write;
 
     const CONFIG: PrepareConfig = PrepareConfig {
         motion_hz: 10.0,
@@ -444,28 +419,15 @@ mod tests {
         still_rad_s: PrepareConfig::STILL_RAD_S,
     };
 
-    /// A UR5's first joint, and columns for it.
-    fn joint() -> (Robot, Layout) {
-        let mut robot = Robot::load("ur5").expect("built in");
-        robot.joints.truncate(1);
-        let layout = Layout::new(&robot, &ColumnSet::default());
-        (robot, layout)
-    }
-
-    /// Periods of 4 s folded from rows of time, position and torque.
+    /// Periods of 4 s folded from rows of time, position and torque of a UR5's first joint.
     fn fold_of(
         rows: impl Iterator<Item = [f64; 3]>,
         config: &PrepareConfig,
         period_s: f64,
     ) -> Result<(Prepared, String), String> {
-        let here = tempfile::tempdir().expect("creates");
-        let path = here.path().join("log.csv");
-        let mut text = "t_s,q1_rad,tau1_nm\n".to_owned();
-        for [t_s, q, tau] in rows {
-            writeln!(text, "{t_s},{q},{tau}").expect("a string");
-        }
-        std::fs::write(&path, text).expect("writes");
-        let ((robot, layout), mut notes) = (joint(), Vec::new());
+        let (_here, path) = log_of("t_s,q1_rad,tau1_nm", rows);
+        let (robot, mut notes) = (first_joints(1), Vec::new());
+        let layout = Layout::new(&robot, &ColumnSet::default());
         let found = folded(&path, &robot, &layout, config, period_s, &mut notes);
         let (_, prepared) = found.map_err(|error| error.to_string())?;
         Ok((prepared, notes.join("\n")))
@@ -533,15 +495,8 @@ mod tests {
         let rows = (0..400).map(|k| {
             let [t_s, q, tau] = swing(0.02 * f64::from(k));
             // The joint swings about half a turn, and its angle wraps.
-            [
-                t_s,
-                if q > 0.0 {
-                    q - 0.5 * TAU
-                } else {
-                    q + 0.5 * TAU
-                },
-                tau,
-            ]
+            let turns = if q > 0.0 { -0.5 } else { 0.5 };
+            [t_s, q + turns * TAU, tau]
         });
         let (_, notes) = fold_of(rows, &CONFIG, 4.0).expect("a log");
         assert!(
@@ -561,14 +516,9 @@ mod tests {
 
     /// Preparation and notes of a log of these rows of time, position, velocity and torque.
     fn prepared(rows: impl Iterator<Item = [f64; 4]>) -> (Preparation, Vec<String>) {
-        let here = tempfile::tempdir().expect("creates");
-        let path = here.path().join("log.csv");
-        let mut text = "t_s,q1_rad,qd1_rad_s,tau1_nm\n".to_owned();
-        for [t_s, q, qd, tau] in rows {
-            writeln!(text, "{t_s},{q},{qd},{tau}").expect("a string");
-        }
-        std::fs::write(&path, text).expect("writes");
-        let ((robot, layout), mut notes) = (joint(), Vec::new());
+        let (_here, path) = log_of("t_s,q1_rad,qd1_rad_s,tau1_nm", rows);
+        let (robot, mut notes) = (first_joints(1), Vec::new());
+        let layout = Layout::new(&robot, &ColumnSet::default());
         let (config, take) = (&CONFIG, &mut |_: &Preparation, _| ());
         let found = for_each_prepared(&path, &robot, &layout, config, &mut notes, take);
         (found.expect("a log"), notes)

@@ -8,7 +8,7 @@ use super::judge::description;
 use super::methods::{Fit, MethodName, evidence, wls};
 use super::prepare::PrepareConfig;
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData};
-use super::record::{MethodRecord, RIVALS, Unseen, base_error, sum_of_errors};
+use super::record::{MethodRecord, RIVALS, ValidationRecord, base_error, sum_of_errors};
 use super::stream::for_each_prepared;
 use super::uncertainty::{parameter_intervals, with_block_deviations};
 use super::validation::{FileScores, TraceRow, learning_curve, split};
@@ -20,6 +20,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub(super) type Methods = BTreeMap<String, MethodRecord>;
+/// Errors by method and log.
+type Errors = BTreeMap<String, BTreeMap<String, ValidationRecord>>;
 
 /// All methods on one dataset.
 pub(super) struct Study<'a> {
@@ -37,12 +39,9 @@ pub(super) struct Study<'a> {
 }
 
 impl Study<'_> {
-    /// Completes the records of `methods`, which have their errors on the validation logs.
-    pub(super) fn complete(
-        &self,
-        data: &TrainingData<'_>,
-        methods: &mut Methods,
-    ) -> Result<(), IdentifyError> {
+    /// Records of all methods and rivals, without unseen logs.
+    pub(super) fn methods(&self, data: &TrainingData<'_>) -> Result<Methods, IdentifyError> {
+        let mut methods = Methods::new();
         (self.progress)("80/20 split");
         let Problem { layout, seed, .. } = self.problem;
         let truth = self.truth.as_deref();
@@ -53,15 +52,17 @@ impl Study<'_> {
         for (result, split) in self.results.iter().zip(splits) {
             let intervals = parameter_intervals(layout, data, result, seed);
             let intervals = intervals.as_deref();
-            let mut record = MethodRecord::of(result, layout, truth, &described, intervals);
+            let mut record = result.record.clone();
+            if let Some(fit) = &result.fit {
+                record.add_parameters(fit, layout, truth, &described, intervals);
+            }
             record.split_80_20 = split;
-            if result.name == MethodName::BpPhysical {
+            if let Some([_, of_plain]) = &mut record.epochs_to_1_05_wls {
                 let layer = data.layer(layout, &self.bound);
                 (self.progress)("plain descent");
                 let plain = PhysicalConfig::new(Descent::Plain, seed);
                 let plain = layer.train(&plain, &mut |_, _| ());
-                let plain = plain.epochs_to(1.05, layer.loss_of(&self.bound.theta));
-                record.epochs_to_1_05_wls = Some([result.epochs_to_wls, plain]);
+                *of_plain = plain.epochs_to(1.05, layer.loss_of(&self.bound.theta));
                 record.base_parameter_error_ratio_by_epoch =
                     error_curve(&layer, layout, truth, seed);
             }
@@ -69,15 +70,16 @@ impl Study<'_> {
                 (self.progress)(&format!("growing shares of the logs  {}", result.name));
                 record.learning_curve = learning_curve(result.name, &self.problem, sample, unseen);
             }
-            let method = methods.entry(result.name.to_string()).or_default();
-            record.validation = std::mem::take(&mut method.validation);
-            *method = record;
+            methods.insert(result.name.to_string(), record);
         }
-        for (name, split) in RIVALS.iter().zip(of_rivals) {
-            let method = methods.entry((*name).to_owned()).or_default();
-            method.split_80_20 = split;
+        for (name, split_80_20) in RIVALS.iter().zip(of_rivals) {
+            let record = MethodRecord {
+                split_80_20,
+                ..MethodRecord::default()
+            };
+            methods.insert((*name).to_owned(), record);
         }
-        Ok(())
+        Ok(methods)
     }
 
     /// The description's own parameters, and zero torque.
@@ -88,20 +90,19 @@ impl Study<'_> {
         [theta, zero].map(Candidate::Linear)
     }
 
-    /// Adds the errors on unseen logs to `methods`; returns the torques on the first of them.
+    /// Errors on unseen logs, and the torques on the first of them.
     ///
-    /// On validation logs the linear part of networks competes with them, and takes their place where it is better.
+    /// * `chooses` the linear part of networks competes with them, and takes their place where it is better
     pub(super) fn validate(
         &mut self,
-        (logs, kind): (&[PathBuf], Unseen),
+        (logs, chooses): (&[PathBuf], bool),
         prepare: &PrepareConfig,
-        methods: &mut Methods,
         notes: &mut Vec<String>,
-    ) -> Result<Vec<TraceRow>, IdentifyError> {
+    ) -> Result<(Vec<TraceRow>, Errors), IdentifyError> {
         let Problem { robot, layout, .. } = self.problem;
         let mut results = self.results.iter().enumerate();
         let linear = results.find_map(|(place, own)| Some((place, own.linear.clone()?)));
-        let linear = linear.filter(|_| kind == Unseen::Validation);
+        let linear = linear.filter(|_| chooses);
         let linear = linear.map(|(place, fit)| (place, Candidate::Linear(fit.theta.clone()), fit));
         let rivals = self.rivals();
         let candidates = self.results.iter().map(|result| &result.candidate);
@@ -109,8 +110,8 @@ impl Study<'_> {
         let candidates: Vec<&Candidate> = candidates.chain(&rivals).chain(of_linear).collect();
         let names = self.results.iter().map(|result| result.name.to_string());
         let names: Vec<String> = names.chain(RIVALS.map(str::to_owned)).collect();
-        let (mut trace, mut of_linear) = (Vec::new(), BTreeMap::new());
-        let mut unseen = Vec::new();
+        let (mut trace, mut unseen) = (Vec::new(), Vec::new());
+        let (mut errors, mut of_linear) = (Errors::new(), BTreeMap::new());
         for path in logs {
             (self.progress)(&format!("validating {}", path.display()));
             let mut scores = FileScores::new(layout, candidates.len());
@@ -130,7 +131,7 @@ impl Study<'_> {
                         error.map(|error| scores.propagated(layout, &error));
                 }
                 let records = match name {
-                    Some(name) => methods.entry(name.clone()).or_default().unseen(kind),
+                    Some(name) => errors.entry(name.clone()).or_default(),
                     None => &mut of_linear,
                 };
                 records.insert(key.clone(), record);
@@ -143,15 +144,15 @@ impl Study<'_> {
         self.unseen.extend(unseen);
         if let Some((place, candidate, fit)) = linear {
             let (result, name) = (&mut self.results[place], &names[place]);
-            let own = methods.entry(name.clone()).or_default();
-            let [networks, linear] = [&own.validation, &of_linear].map(sum_of_errors);
+            let own = errors.entry(name.clone()).or_default();
+            let [networks, linear] = [&*own, &of_linear].map(sum_of_errors);
             // A figure that is not a number is worse than any.
             let is_better = linear.is_some_and(|linear| !networks.is_some_and(|own| own <= linear));
             if is_better {
                 notes.push(format!(
                     "{name}: on the validation logs its networks are worse than the linear part, which stands in for them"
                 ));
-                own.validation = of_linear;
+                *own = of_linear;
                 (result.candidate, result.fit) = (candidate, Some(fit));
                 self.problem.networks = false;
                 for (_, _, predicted) in &mut trace {
@@ -159,7 +160,7 @@ impl Study<'_> {
                 }
             }
         }
-        Ok(trace)
+        Ok((trace, errors))
     }
 
     /// Parameter error of a linear model; `None` when a true parameter is unknown.
@@ -308,20 +309,15 @@ mod tests {
     use super::*;
     use crate::dynamics::{Motion, PerJoint, RigidBodies};
     use crate::identification::ColumnSet;
-    use crate::identification::dataset::random_rows;
-    use crate::identification::record::{SplitRecord, ValidationRecord};
-    use std::fmt::Write;
+    use crate::identification::dataset::{RowSums, random_rows};
+    use crate::identification::log_tests::log_of;
+    use crate::identification::record::SplitRecord;
+    use crate::table::{joint_columns, state_columns};
+    use tempfile::TempDir;
 
     /// A log of the torques of `model`, 200 rows a second.
-    fn log_of(model: &RigidBodies, path: &Path) {
-        let columns = ["q{}_rad", "qd{}_rad_s", "qdd{}_rad_s2", "tau{}_nm"];
-        let columns = columns.iter().flat_map(|name| {
-            let of_joint = |joint: usize| name.replace("{}", &joint.to_string());
-            (1..=6).map(of_joint)
-        });
-        let names: Vec<String> = columns.collect();
-        let mut text = format!("t_s,{}\n", names.join(","));
-        for k in 0..1500 {
+    fn log_of_model(model: &RigidBodies) -> (TempDir, PathBuf) {
+        let rows = (0..1500).map(|k| {
             let t_s = 0.005 * f64::from(k);
             let rates = PerJoint::from_fn(6, |joint| 1.5 + 0.3 * joint as f64);
             let [q, qd, qdd] = [0, 1, 2].map(|order| {
@@ -329,14 +325,14 @@ mod tests {
                 rates.map(|rate| rate.powi(order) * (rate * t_s + rate + phase).sin())
             });
             let tau = model.inverse_dynamics(&Motion { q, qd, qdd });
-            let values = [&q[..], &qd, &qdd, &tau].concat();
-            write!(text, "{t_s}").expect("a string");
-            values
-                .iter()
-                .for_each(|value| write!(text, ",{value}").expect("a string"));
-            text.push('\n');
-        }
-        std::fs::write(path, text).expect("writes");
+            [&[t_s][..], &q, &qd, &qdd, &tau].concat()
+        });
+        let header = [
+            vec!["t_s".to_owned()],
+            state_columns(6),
+            joint_columns("tau", "nm", 6),
+        ];
+        log_of(&header.concat().join(","), rows)
     }
 
     #[test]
@@ -347,7 +343,7 @@ mod tests {
         let torque = |row: &SampleRow, j: usize| model.inverse_dynamics(&row.state)[j];
         let mut dataset = Dataset::new(&layout);
         let rows = random_rows(&layout, 1500, 1, [2.0, 1.0, 3.0], 1e-3, torque);
-        dataset.sums.add(&layout, &rows.iter().collect::<Vec<_>>());
+        dataset.sums = RowSums::of(&layout, &rows);
         dataset.sample.kept = rows;
         let data = TrainingData::all(&dataset);
         let fit = wls(&data.sums.all, &layout).expect("well shown");
@@ -362,13 +358,12 @@ mod tests {
         let result = MethodResult {
             fit: Some(wrong),
             linear: Some(fit.clone()),
-            ..MethodResult::plain(name, candidate, 1500)
+            ..MethodResult::plain(name, candidate, (1500, 0))
         };
         let mut truth = robot.base_parameters();
         truth.resize(layout.parameters.len(), 0.0);
-        let here = tempfile::tempdir().expect("creates");
-        let logs = [here.path().join("log.csv")];
-        log_of(&model, &logs[0]);
+        let (_here, log) = log_of_model(&model);
+        let logs = [log];
         let mut study = Study {
             problem: Problem {
                 robot: &robot,
@@ -391,11 +386,10 @@ mod tests {
             torque_hz: Some(20.0),
             still_rad_s: PrepareConfig::STILL_RAD_S,
         };
-        let (mut methods, mut notes) = (Methods::new(), Vec::new());
-        let choosing = (&logs[..], Unseen::Validation);
-        let trace = study.validate(choosing, &prepare, &mut methods, &mut notes);
-        let trace = trace.expect("a log");
-        study.complete(&data, &mut methods).expect("solved");
+        let mut notes = Vec::new();
+        let validated = study.validate((&logs, true), &prepare, &mut notes);
+        let (trace, errors) = validated.expect("a log");
+        let methods = study.methods(&data).expect("solved");
         let (_, tau, predicted) = &trace[trace.len() / 2];
         assert!((predicted[0][1] - tau[1]).abs() < 0.1);
         assert!(notes.concat().contains("stands in for them"), "{notes:?}");
@@ -403,7 +397,7 @@ mod tests {
         assert_eq!(record.noise_nm, fit.sigma.to_vec());
         let values = record.parameters.iter().map(|parameter| parameter.value);
         assert_eq!(values.collect::<Vec<_>>(), fit.theta.as_slice());
-        let unseen = &record.validation["log.csv"];
+        let unseen = &errors["bp_residual"]["log.csv"];
         let split = record.split_80_20.mean().0;
         for error in [unseen.joints_nrmse_moving_ratio, Some(split)] {
             assert!(error.expect("known") < 0.02, "{error:?}");
@@ -432,7 +426,7 @@ mod tests {
             let logs = unseen.map(|unseen| ("log".to_owned(), unseen));
             record.validation = logs.into_iter().collect();
             methods.insert(name.to_string(), record);
-            MethodResult::plain(name, Candidate::Linear(DVector::zeros(1)), 1)
+            MethodResult::plain(name, Candidate::Linear(DVector::zeros(1)), (1, 0))
         });
         let results: Vec<_> = results.collect();
         results[recommended(&results, &methods)].name

@@ -186,8 +186,7 @@ mod tests {
                 }
                 row.tau = row.clean;
             }
-            let mut sums = RowSums::new(&layout);
-            sums.add(&layout, &rows.iter().collect::<Vec<_>>());
+            let sums = RowSums::of(&layout, &rows);
             let fit = wls(&sums.clean, &layout).expect("solvable");
             let error = |fit: &Fit| {
                 let ratios = fit.theta.component_div(&fit.deviations());

@@ -411,8 +411,7 @@ mod tests {
             // Joint 1 hardly moves: its column of a tilt is nearly one of the parameters.
             let torque = |row: &SampleRow, joint: usize| model.inverse_dynamics(&row.state)[joint];
             let rows = random_rows(&layout, 1500, 1, [0.4, 1.0, 1.0], 1.0, torque);
-            let mut sums = RowSums::new(&layout);
-            sums.add(&layout, &rows.iter().collect::<Vec<_>>());
+            let sums = RowSums::of(&layout, &rows);
             let fit = wls(&sums.all, &layout).expect("a fit");
             let mut judgement = Judgement::default();
             after_fit(&mut judgement, &robot, &layout, &fit, &rows);

@@ -139,7 +139,7 @@ fn fall_at_rate(
 ) -> f64 {
     let left = |rate: f64| {
         let joints = layout.joints();
-        let mut sums = NormalEquations::new(layout);
+        let mut sums = NormalEquations::new(layout, 0);
         let mut scratch = DMatrix::zeros(joints, (LINK_PARAMETERS + 1) * joints);
         let mut panel = Vec::new();
         for (state, tau) in rows {
@@ -189,7 +189,7 @@ pub fn judge(
         return Ok(judgement);
     }
     let mut sample = Thinned::new(ROWS);
-    let mut sums = NormalEquations::new(&layout);
+    let mut sums = NormalEquations::new(&layout, 0);
     let mut delays: Vec<Delay> = (0..joints).map(|_| Delay::default()).collect();
     // The largest gain of noise; delays are counted in rows of the last log.
     let (mut gain, period_s) = (0.0_f64, judgement.period_s);
