@@ -76,7 +76,6 @@ impl RowSums {
         }
     }
 
-    /// Sums over these rows.
     pub(super) fn of(layout: &Layout, rows: &[impl Borrow<SampleRow>]) -> Self {
         let mut sums = Self::new(layout);
         sums.add(layout, rows);
@@ -185,7 +184,6 @@ impl Dataset {
         rows.into_iter().for_each(|row| self.sample.push(row));
     }
 
-    /// Ends a log.
     pub(super) fn end_log(&mut self) {
         self.ends.push(self.sample.seen);
     }

@@ -12,7 +12,6 @@ use std::path::PathBuf;
 /// The arm must stand this long, s, and a stand is cut when it has lasted ten times as long: the arm may creep. A part at the
 /// pose of the part before is no stand of its own.
 const STAND_S: f64 = 0.2;
-/// Fewest stands.
 const FEWEST: usize = 3;
 /// Largest relative deviation of a gain that is used.
 const LARGEST_DEVIATION: f64 = 0.1;

@@ -17,7 +17,6 @@ pub(super) fn file(name: &str, text: &str) -> (TempDir, PathBuf) {
     (here, path)
 }
 
-/// A table of these rows.
 pub(super) fn text_of(
     header: &str,
     separator: &str,
@@ -31,7 +30,6 @@ pub(super) fn text_of(
     text
 }
 
-/// A log of these rows.
 pub(super) fn log_of(
     header: &str,
     rows: impl IntoIterator<Item = impl AsRef<[f64]>>,
@@ -39,7 +37,6 @@ pub(super) fn log_of(
     file("log.csv", &text_of(header, ",", rows.into_iter()))
 }
 
-/// The first joints of a UR5.
 pub(super) fn first_joints(count: usize) -> Robot {
     let mut robot = ur5();
     robot.joints.truncate(count);

@@ -116,7 +116,6 @@ fn numbers(joints: impl Iterator<Item = usize>) -> String {
     numbers.join(", ")
 }
 
-/// The refusal of a log.
 fn refused(path: &Path, problem: impl std::fmt::Display) -> IdentifyError {
     Refusal::of(path.display(), problem).into()
 }

@@ -63,7 +63,6 @@ pub fn page(report: &Report, trace: &[(f64, PerJoint<f64>, PerJoint<f64>)]) -> P
         .sections([parameters_section(report), notes_section(report)])
 }
 
-/// Findings on the logs and the parameters.
 fn findings_section(report: &Report) -> Option<Section> {
     let rows = report.findings.iter().map(|finding| {
         let kind = if finding.refuses { "wrong" } else { "warning" };

@@ -1,7 +1,8 @@
 //! All methods side by side on the same logs, and their errors against known true parameters.
 
 use super::IdentifyError;
-use super::columns::{FrictionTerm, Layout};
+use super::columns::FrictionTerm::Board;
+use super::columns::{Layout, Parameter};
 use super::consistent::consistent;
 use super::dataset::{Dataset, SampleRow};
 use super::judge::description;
@@ -92,7 +93,7 @@ impl Study<'_> {
 
     /// Errors on unseen logs, and the torques on the first of them.
     ///
-    /// * `chooses` the linear part of networks competes with them, and takes their place where it is better
+    /// * `chooses` these logs choose: the linear part of networks competes with them, and takes their place where it is better
     pub(super) fn validate(
         &mut self,
         (logs, chooses): (&[PathBuf], bool),
@@ -258,25 +259,20 @@ pub(super) fn key_of(path: &Path, all: &[PathBuf]) -> String {
 
 /// True parameters of the layout; `None` for a column that takes up friction of another kind.
 pub(super) fn truths(robot: &Robot, layout: &Layout) -> Vec<Option<f64>> {
-    let base = robot.base_parameters();
-    let mut out: Vec<Option<f64>> = base.into_iter().map(Some).collect();
-    for parameter in layout.parameters.iter().skip(layout.base) {
-        out.push(parameter.friction.and_then(|(term, joint)| {
-            let friction = &robot.joints[joint].friction;
-            let simple = friction.stribeck_ratio == 0.0;
-            let FrictionTerm::Board(column) = term else {
-                return Some(0.0);
-            };
-            match column {
-                FrictionColumn::Viscous => simple.then_some(friction.viscous),
-                FrictionColumn::Coulomb => simple.then_some(friction.coulomb),
-                FrictionColumn::CoggingSine => Some(friction.cogging),
-                FrictionColumn::Stribeck | FrictionColumn::ShearThinning => simple.then_some(0.0),
-                _ => Some(0.0),
-            }
-        }));
-    }
-    out
+    use FrictionColumn::{CoggingSine, Coulomb, ShearThinning, Stribeck, Viscous};
+    let truth = |parameter: &Parameter| {
+        let (term, joint) = parameter.friction?;
+        let friction = &robot.joints[joint].friction;
+        let has_peak = friction.stribeck_ratio != 0.0;
+        match term {
+            Board(CoggingSine) => Some(friction.cogging),
+            Board(Viscous | Coulomb | Stribeck | ShearThinning) if has_peak => None,
+            _ => parameter.plain_friction(robot).or(Some(0.0)),
+        }
+    };
+    let base = robot.base_parameters().into_iter().map(Some);
+    let friction = layout.parameters.iter().skip(layout.base);
+    base.chain(friction.map(truth)).collect()
 }
 
 /// Error of the base parameters by epoch of the accelerated layer; empty without a truth.

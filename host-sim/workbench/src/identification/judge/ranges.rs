@@ -349,36 +349,27 @@ pub(super) fn units(
                 100.0 * share
             ));
         }
-        // Rows gather at a limit that holds the torque, but not where the motion turns it back.
         let [below, at, above] = seen.near_limit;
-        let limit = joint.limits.torque;
-        let near = match at > 2.0 * f64::max(below, above) {
-            true => (
-                at,
-                format!("torque held at its limit of {limit} N·m"),
-                ": take a slower path".to_owned(),
-            ),
-            false => (
-                above,
-                format!("torque above its limit of {limit} N·m"),
-                format!(
-                    ", up to {:.1} N·m: correct the limit (--torque-limits)",
-                    seen.torque
-                ),
-            ),
-        };
-        let spikes = (
-            seen.spikes,
-            "spikes of the torque".to_owned(),
-            String::new(),
-        );
-        for ((count, problem, mend), most) in [(spikes, 0.5), (near, 1.0)] {
-            let percent = 100.0 * count / f64::max(seen.rows, 1.0);
-            if percent > most {
-                let number = number + 1;
-                let text = format!("joint {number}: {problem} in {percent:.1} % of the rows{mend}");
-                judgement.find(false, text);
-            }
+        let (limit, number) = (joint.limits.torque, number + 1);
+        let percent = |count: f64| 100.0 * count / f64::max(seen.rows, 1.0);
+        let [spikes, held, beyond] = [seen.spikes, at, above].map(percent);
+        if spikes > 0.5 {
+            judgement.find(
+                false,
+                format!("joint {number}: spikes of the torque in {spikes:.1} % of the rows"),
+            );
+        }
+        // Rows gather at a limit that holds the torque, but not where the motion turns it back.
+        let is_held = at > 2.0 * f64::max(below, above);
+        if is_held && held > 1.0 {
+            judgement.find(false, format!(
+                "joint {number}: torque held at its limit of {limit} N·m in {held:.1} % of the rows: take a slower path"
+            ));
+        } else if !is_held && beyond > 1.0 {
+            judgement.find(false, format!(
+                "joint {number}: torque above its limit of {limit} N·m in {beyond:.1} % of the rows, up to {:.1} N·m: correct the limit (--torque-limits)",
+                seen.torque
+            ));
         }
     }
 }
