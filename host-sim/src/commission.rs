@@ -19,7 +19,7 @@ use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::WholeFile;
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
 use foretorque_workbench::report::put_json;
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use std::path::PathBuf;
 
 /// Check the profile of an arm on its bus step by step, below a tenth of its torque, then drive and identify it
@@ -185,7 +185,7 @@ impl Arguments {
         let other_size = || unsupported(N);
         let model = ReferenceModel::new(robot).ok_or_else(other_size)?;
         let network: Box<dyn Network> = if self.bus.is_simulated() {
-            let truth = robot.perturbed(self.seed, &Perturbation::PLANT);
+            let truth = robot.perturbed(self.seed);
             let plant = Plant::<N>::new(&truth, plant_config(PlantConfig::default()), self.seed);
             let mut plant = plant.ok_or_else(other_size)?;
             plant.place(&rest);

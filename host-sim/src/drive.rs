@@ -18,7 +18,7 @@ use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::plant::{Measurement, Plant};
 use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::report::write_json;
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -192,7 +192,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let arguments = self.arguments;
         let truth = match arguments.exact {
             true => self.robot.clone(),
-            false => self.robot.perturbed(arguments.seed, &Perturbation::PLANT),
+            false => self.robot.perturbed(arguments.seed),
         };
         let config = plant_config(arguments.disturbances.plant_config()?);
         let plant = Plant::<N>::new(&truth, config, arguments.seed);

@@ -13,7 +13,7 @@ use foretorque_workbench::identification::{
 };
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::{or_dash, ratio};
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -166,7 +166,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
             bail!("--truth {name}: an arm with other parameters");
         }
         truth = Some(match arguments.truth_seed {
-            Some(seed) => described.perturbed(seed, &Perturbation::PLANT),
+            Some(seed) => described.perturbed(seed),
             None => described,
         });
     }

@@ -9,7 +9,7 @@ use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::joints;
 use foretorque_workbench::plant::{Plant, PlantConfig};
 use foretorque_workbench::report::closed_loop::ClosedLoopLog;
-use foretorque_workbench::robot::{Joint, Perturbation, Robot};
+use foretorque_workbench::robot::{Joint, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 use std::path::PathBuf;
 
@@ -125,7 +125,7 @@ impl MotionArguments {
         let other_size = || unsupported(N);
         let truth = match self.exact {
             true => robot.clone(),
-            false => robot.perturbed(self.seed, &Perturbation::PLANT),
+            false => robot.perturbed(self.seed),
         };
         let config = PlantConfig {
             torque_noise: self.torque_noise,

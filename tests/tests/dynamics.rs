@@ -6,7 +6,7 @@ use foretorque::arm::{Arm, ur5::Ur5};
 use foretorque::dynamics::{BaseParameters, gravity_torque, regressor, regressor_row, rnea};
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use nalgebra::SMatrix;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -146,7 +146,7 @@ fn random_motion(random: &mut ChaCha8Rng) -> JointMotion<6> {
 #[test]
 fn rnea_agrees_with_the_reference_over_random_states() {
     let ur5 = Robot::load("ur5").unwrap();
-    for robot in [ur5.clone(), ur5.perturbed(1, &Perturbation::PLANT)] {
+    for robot in [ur5.clone(), ur5.perturbed(1)] {
         let beta = robot.base_parameters();
         let beta = BaseParameters::<40>::from_fn(|k, _| beta[k] as f32);
         let model = ReferenceModel::<6>::new(&robot).unwrap();

@@ -1,5 +1,7 @@
 //! Files that are whole or absent: written beside their final name, renamed when complete.
 
+use crate::Refusal;
+use serde::de::DeserializeOwned;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Write};
 use std::os::fd::AsFd;
@@ -74,7 +76,7 @@ fn sweep(target: &Path) {
 /// standard output.
 #[derive(Debug)]
 pub struct WholeFile {
-    writer: Option<BufWriter<File>>,
+    writer: BufWriter<File>,
     /// The unfinished version; none where the target is written as it is.
     part: Option<PathBuf>,
     target: PathBuf,
@@ -88,7 +90,7 @@ impl WholeFile {
     /// Errors: the file system's, with the path in the message.
     pub fn create(target: &Path) -> io::Result<Self> {
         let through = |file| Self {
-            writer: Some(BufWriter::new(file)),
+            writer: BufWriter::new(file),
             part: None,
             target: target.to_owned(),
             made: Vec::new(),
@@ -141,7 +143,7 @@ impl WholeFile {
         }
         unfinished.push(part.clone());
         Ok(Self {
-            writer: Some(BufWriter::new(file)),
+            writer: BufWriter::new(file),
             part: Some(part),
             target: target.to_owned(),
             made,
@@ -152,17 +154,12 @@ impl WholeFile {
     ///
     /// Errors: the file system's; the file's earlier version is then untouched.
     pub fn finish(mut self) -> io::Result<()> {
-        if let Some(writer) = self.writer.take() {
-            let written = writer.into_inner().map_err(|error| error.into_error());
-            let kept = written.and_then(|file| match self.part {
-                // A name for bytes that a power cut loses would be an empty file.
-                Some(_) => file.sync_all(),
-                None => Ok(()),
-            });
-            kept.map_err(|error| at(&self.target, error))?;
-        }
+        self.flush()?;
         if let Some(part) = &self.part {
-            fs::rename(part, &self.target).map_err(|error| at(&self.target, error))?;
+            // A name for bytes that a power cut loses would be an empty file.
+            let kept = self.writer.get_ref().sync_all();
+            let named = kept.and_then(|()| fs::rename(part, &self.target));
+            named.map_err(|error| at(&self.target, error))?;
             sync_directory(&self.target);
         }
         Ok(())
@@ -178,17 +175,13 @@ fn sync_directory(file: &Path) {
 
 impl Write for WholeFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut self.writer {
-            Some(writer) => writer.write(bytes).map_err(|error| at(&self.target, error)),
-            None => Err(io::ErrorKind::BrokenPipe.into()),
-        }
+        let written = self.writer.write(bytes);
+        written.map_err(|error| at(&self.target, error))
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        match &mut self.writer {
-            Some(writer) => writer.flush().map_err(|error| at(&self.target, error)),
-            None => Ok(()),
-        }
+        let written = self.writer.flush();
+        written.map_err(|error| at(&self.target, error))
     }
 }
 
@@ -236,47 +229,50 @@ pub fn at(path: &Path, error: io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("{}: {error}", path.display()))
 }
 
-/// Line, from 1, and first complaint of the TOML parser.
-pub fn toml_complaint(text: &str, error: &toml::de::Error) -> (usize, String) {
-    let line = error
-        .span()
-        .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-    let first = error.message().lines().next().unwrap_or("not TOML");
-    (line, first.to_owned())
+/// Text of a file of a description or of settings, as [`read_text`].
+///
+/// Errors: as there, with the path.
+pub fn text_of(path: &Path) -> Result<String, Refusal> {
+    read_text(path).map_err(|error| Refusal::of(path.display(), error))
+}
+
+/// A value in TOML.
+///
+/// Errors: the first complaint of the parser, with its line.
+pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    toml::from_str(text).map_err(|error| {
+        let before = error.span().map_or("", |span| &text[..span.start]);
+        let line = 1 + before.matches('\n').count();
+        let reason = error.message().lines().next().unwrap_or("not TOML");
+        format!("line {line}: {reason}")
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn directory(name: &str) -> PathBuf {
-        std::env::temp_dir().join(format!("foretorque-{name}-{}", std::process::id()))
-    }
+    use tempfile::tempdir;
 
     #[test]
     fn what_a_killed_run_left_is_swept_and_what_is_being_written_stays() {
-        let directory = directory("sweep");
-        fs::create_dir_all(&directory).expect("creates");
-        let target = directory.join("log.csv");
-        let [dead, alive, other] =
-            ["log.csv.part1", "log.csv.part2", "log.csv.partial"].map(|name| directory.join(name));
+        let here = tempdir().expect("creates");
+        let names = ["log.csv.part1", "log.csv.part2", "log.csv.partial"];
+        let [dead, alive, other] = names.map(|name| here.path().join(name));
         for file in [&dead, &other] {
             fs::write(file, b"half").expect("writes");
         }
         let running = File::create(&alive).expect("creates");
         running.lock().expect("locks");
-        write_whole(&target, b"whole").expect("writes");
+        write_whole(&here.path().join("log.csv"), b"whole").expect("writes");
         assert!(!dead.exists() && alive.exists() && other.exists());
-        fs::remove_dir_all(&directory).expect("cleans up");
     }
 
     #[test]
     fn links_devices_and_modes_outlive_what_is_written_to_them() {
         use std::os::unix::fs::PermissionsExt;
-        let directory = directory("through");
-        fs::create_dir_all(&directory).expect("creates");
+        let here = tempdir().expect("creates");
         let [file, link, pipe, full] =
-            ["file", "link", "pipe", "full"].map(|name| directory.join(name));
+            ["file", "link", "pipe", "full"].map(|name| here.path().join(name));
         fs::write(&file, b"before").expect("writes");
         fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).expect("sets");
         std::os::unix::fs::symlink(&file, &link).expect("links");
@@ -302,16 +298,14 @@ mod tests {
         let error = write_whole(&full, b"lost").expect_err("is full");
         let error = error.to_string();
         assert!(error.contains("full: No space left"), "{error}");
-        remove_stale(&directory, &["file", "nothing"]).expect("removes");
+        remove_stale(here.path(), &["file", "nothing"]).expect("removes");
         assert!(!file.exists());
-        fs::remove_dir_all(&directory).expect("cleans up");
     }
 
     #[test]
     fn a_text_without_an_end_is_refused() {
-        let directory = directory("endless");
-        fs::create_dir_all(&directory).expect("creates");
-        let large = directory.join("large.toml");
+        let here = tempdir().expect("creates");
+        let large = here.path().join("large.toml");
         let file = File::create(&large).expect("creates");
         file.set_len(TOO_LONG).expect("it is sparse");
         for path in [&large, Path::new("/dev/zero")] {
@@ -323,12 +317,12 @@ mod tests {
         }
         file.set_len(20).expect("it is shorter");
         assert_eq!(read_text(&large).expect("reads").len(), 20);
-        fs::remove_dir_all(&directory).expect("cleans up");
     }
 
     #[test]
     fn an_unfinished_file_leaves_nothing_behind() {
-        let directory = directory("files");
+        let here = tempdir().expect("creates");
+        let directory = here.path().join("new");
         let target = directory.join("half.csv");
         let mut file = WholeFile::create(&target).expect("creates");
         file.write_all(b"half").expect("writes");
@@ -338,6 +332,5 @@ mod tests {
         assert_eq!(fs::read(&target).expect("reads"), b"whole");
         drop(WholeFile::create(&target).expect("creates"));
         assert_eq!(fs::read(&target).expect("reads"), b"whole");
-        fs::remove_dir_all(&directory).expect("cleans up");
     }
 }

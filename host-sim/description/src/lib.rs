@@ -17,10 +17,4 @@ impl Refusal {
     pub fn of(place: impl std::fmt::Display, problem: impl std::fmt::Display) -> Self {
         Self(format!("{place}: {problem}"))
     }
-
-    /// The first complaint of the TOML parser about the text of a `file`, with its line.
-    pub fn toml(file: &str, text: &str, error: &toml::de::Error) -> Self {
-        let (line, reason) = files::toml_complaint(text, error);
-        Self::of(file, format!("line {line}: {reason}"))
-    }
 }

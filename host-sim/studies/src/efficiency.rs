@@ -9,7 +9,7 @@ use foretorque_workbench::identification::{
 };
 use foretorque_workbench::metrics::root_mean;
 use foretorque_workbench::report::page::{Page, Section};
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::write_motion;
 use foretorque_workbench::trajectory::Trajectory;
 use rand::{Rng, SeedableRng};
@@ -69,7 +69,7 @@ pub fn run(
     progress: Progress<'_>,
 ) -> Result<Outcome<EfficiencyReport>, StudyError> {
     let robot = Robot::load("ur5")?;
-    let mut truth = robot.perturbed(seed, &Perturbation::PLANT);
+    let mut truth = robot.perturbed(seed);
     for joint in &mut truth.joints {
         joint.friction.stribeck_ratio = 0.0;
         joint.friction.cogging = 0.0;

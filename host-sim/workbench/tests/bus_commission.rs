@@ -12,7 +12,7 @@ use foretorque_workbench::bus::sim::{
 use foretorque_workbench::bus::{BusError, BusPlayer, Commissioning, Profile, Step};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::plant::{Payload, Plant, PlantConfig};
-use foretorque_workbench::robot::{Link, Perturbation, Robot};
+use foretorque_workbench::robot::{Link, Robot};
 use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
@@ -33,7 +33,7 @@ fn arm_of<A: Arm<6, 40>>(
     seed: u64,
     plant_mistake: impl Fn(&mut [DriveTruth; 6]),
 ) -> Commissioning<A, SimulatedNetwork<6>, 6, 40> {
-    let truth = robot.perturbed(seed, &Perturbation::PLANT);
+    let truth = robot.perturbed(seed);
     let rest = Joints::from_row_slice(&profile.rest_rad);
     let mut plant =
         Plant::<6>::new(&truth, plant_config(PlantConfig::default()), seed).expect("six joints");

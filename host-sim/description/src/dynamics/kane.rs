@@ -41,9 +41,6 @@ pub struct LinkMotion {
     pub acceleration: Vector3<f64>,
 }
 
-/// Those of all links.
-type Kinematics = [LinkMotion; MAX_JOINTS];
-
 impl RigidBodies {
     /// The bodies of a robot.
     pub fn new(robot: &Robot) -> Self {
@@ -242,7 +239,7 @@ impl RigidBodies {
     }
 
     /// Generalised inertia forces: every link's `m a_c` and `I α + ω × I ω` on the partial velocities of each joint.
-    fn project(&self, kinematics: &Kinematics) -> PerJoint<f64> {
+    fn project(&self, kinematics: &[LinkMotion]) -> PerJoint<f64> {
         let mut tau = PerJoint::repeat(self.joints(), 0.0);
         for (k, body) in self.bodies.iter().enumerate() {
             let rot = &kinematics[k].rot;

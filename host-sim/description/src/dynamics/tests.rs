@@ -1,5 +1,5 @@
 use super::*;
-use crate::robot::{LINK_PARAMETERS, Perturbation, Robot};
+use crate::robot::{LINK_PARAMETERS, Robot};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -37,7 +37,7 @@ fn random_state(random: &mut ChaCha8Rng) -> State<6> {
 #[test]
 fn inverse_dynamics_is_mass_matrix_times_acceleration_plus_bias() {
     for robot in [ur5(), coupled()] {
-        let model = model(&robot.perturbed(5, &Perturbation::PLANT));
+        let model = model(&robot.perturbed(5));
         let mut random = ChaCha8Rng::seed_from_u64(1);
         for _ in 0..500 {
             let state = random_state(&mut random);
@@ -52,7 +52,7 @@ fn inverse_dynamics_is_mass_matrix_times_acceleration_plus_bias() {
 #[test]
 fn power_of_the_torques_is_the_change_of_energy() {
     for robot in [ur5(), coupled()] {
-        let model = model(&robot.perturbed(6, &Perturbation::PLANT));
+        let model = model(&robot.perturbed(6));
         let mut random = ChaCha8Rng::seed_from_u64(2);
         for _ in 0..200 {
             let state = random_state(&mut random);
@@ -73,7 +73,7 @@ fn power_of_the_torques_is_the_change_of_energy() {
 fn regressor_times_standard_parameters_is_the_torque() {
     let mut random = ChaCha8Rng::seed_from_u64(4);
     for robot in [ur5(), coupled()] {
-        let robot = robot.perturbed(7, &Perturbation::PLANT);
+        let robot = robot.perturbed(7);
         let model = model(&robot);
         let x = DVector::from_vec(robot.standard_parameters());
         // Rows of the motion before are written over.
@@ -122,7 +122,7 @@ fn ur5_has_36_inertial_base_parameters_and_40_with_rotors() {
 
 #[test]
 fn base_parameters_give_the_torque_of_the_standard_ones() {
-    let robot = ur5().perturbed(8, &Perturbation::PLANT);
+    let robot = ur5().perturbed(8);
     let model = model(&robot);
     let map = ur5().base_map();
     let mut base_only = DVector::zeros(66);

@@ -7,6 +7,25 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 impl Link {
+    /// Standard parameters: m, m·x, m·y, m·z, Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the origin of the link frame (eq. 14).
+    ///
+    /// Parallel axes: `I_o = I_c + m (c·c 1 − c cᵀ)`.
+    pub fn standard_parameters(&self) -> [f64; LINK_PARAMETERS] {
+        let (m, c) = (self.mass, self.com);
+        let i = self.inertia_com + m * (c.dot(&c) * Matrix3::identity() - c * c.transpose());
+        let first = m * c;
+        let [xx, yy, zz, xy, xz, yz] = [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23];
+        [m, first.x, first.y, first.z, xx, yy, zz, xy, xz, yz]
+    }
+
+    /// Second moments of mass about the centre of mass, `½ tr(I) 1 − I`, kg·m².
+    ///
+    /// A mass distribution exists exactly when this matrix has no negative eigenvalue, which is the triangle inequality
+    /// of the principal moments of inertia.
+    pub fn second_moments(&self) -> Matrix3<f64> {
+        0.5 * self.inertia_com.trace() * Matrix3::identity() - self.inertia_com
+    }
+
     /// Defect of an inertia tensor (kg·m², about the centre of mass) that no body has; `None` for a possible one.
     ///
     /// The principal moments of a body are positive, and none exceeds the sum of the others.
@@ -103,55 +122,32 @@ impl Link {
     }
 }
 
-/// Distance of a robot from its description.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Perturbation {
-    /// Largest relative change of masses, centres of mass and inertias.
-    pub inertial: f64,
-    /// Factor on every rotor inertia.
-    pub rotor: f64,
-    /// Factor on viscous and Coulomb friction.
-    pub friction: f64,
-    /// Keep the Stribeck peak and the cogging torque.
-    pub rich_friction: bool,
-}
-
-impl Perturbation {
-    /// The plant for acceptance: ±20 % on the inertial parameters, everything else as described.
-    pub const PLANT: Self = Self {
-        inertial: 0.2,
-        rotor: 1.0,
-        friction: 1.0,
-        rich_friction: true,
-    };
-
-    /// The wrong prior, relative to the plant: inertial parameters 20 % off, rotor inertia −20 %, viscous and Coulomb
-    /// friction −40 %, no Stribeck peak, no cogging.
-    pub const WRONG_PRIOR: Self = Self {
-        inertial: 0.2,
-        rotor: 0.8,
-        friction: 0.6,
-        rich_friction: false,
-    };
-}
+/// Largest relative change of masses, centres of mass and inertias in a varied robot.
+const VARIED: f64 = 0.2;
 
 impl Robot {
-    /// This robot with its mass distribution and friction varied; the same seed gives the same robot.
+    /// The plant for acceptance: this robot with its mass distribution varied by up to 20 %, everything else as described.
     ///
-    /// Every link stays a possible body. The plant for acceptance is `robot.perturbed(seed, &Perturbation::PLANT)`, the
-    /// wrong prior is that plant perturbed again by [`Perturbation::WRONG_PRIOR`] with another seed.
-    pub fn perturbed(&self, seed: u64, spec: &Perturbation) -> Self {
+    /// The same seed gives the same robot, and every link stays a possible body.
+    pub fn perturbed(&self, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut robot = self.clone();
         for joint in &mut robot.joints {
-            joint.link = perturbed_link(&joint.link, spec.inertial, &mut random);
-            joint.drive.rotor_inertia *= spec.rotor;
-            joint.friction.viscous *= spec.friction;
-            joint.friction.coulomb *= spec.friction;
-            if !spec.rich_friction {
-                joint.friction.stribeck_ratio = 0.0;
-                joint.friction.cogging = 0.0;
-            }
+            joint.link = perturbed_link(&joint.link, &mut random);
+        }
+        robot
+    }
+
+    /// The wrong prior of a plant: varied once more, with another seed; rotor inertias −20 %, viscous and Coulomb friction
+    /// −40 %, no Stribeck peak, no cogging.
+    pub fn wrong_prior(&self, seed: u64) -> Self {
+        let mut robot = self.perturbed(seed);
+        for joint in &mut robot.joints {
+            joint.drive.rotor_inertia *= 0.8;
+            joint.friction.viscous *= 0.6;
+            joint.friction.coulomb *= 0.6;
+            joint.friction.stribeck_ratio = 0.0;
+            joint.friction.cogging = 0.0;
         }
         robot
     }
@@ -175,15 +171,15 @@ impl Robot {
     }
 }
 
-/// Mass and centre of mass move by up to `size` of themselves (the centre by up to `size` of its distance, in any
-/// direction). The second moments S of the mass become `A S Aᵀ` with `A = 1 + size/2 · noise`: S stays positive
-/// semi-definite, so the link stays a body, its moments move by about `size`, and off-diagonal entries appear.
-fn perturbed_link(link: &Link, size: f64, random: &mut ChaCha8Rng) -> Link {
-    let mass = link.mass * (1.0 + size * symmetric(random));
+/// Mass and centre of mass move by up to 20 % of themselves (the centre by up to 20 % of its distance, in any direction).
+/// The second moments S of the mass become `A S Aᵀ` with `A = 1 + 0.1 · noise`: S stays positive semi-definite, so the
+/// link stays a body, its moments move by about 20 %, and off-diagonal entries appear.
+fn perturbed_link(link: &Link, random: &mut ChaCha8Rng) -> Link {
+    let mass = link.mass * (1.0 + VARIED * symmetric(random));
     let direction = Vector3::from_fn(|_, _| symmetric(random));
-    let com = link.com + direction * (size * link.com.norm() / 3.0_f64.sqrt());
+    let com = link.com + direction * (VARIED * link.com.norm() / 3.0_f64.sqrt());
     let shape = Matrix3::from_fn(|row, col| {
-        f64::from(u8::from(row == col)) + 0.5 * size * symmetric(random)
+        f64::from(u8::from(row == col)) + 0.5 * VARIED * symmetric(random)
     });
     let moments = shape * link.second_moments() * shape.transpose();
     Link {
@@ -193,12 +189,10 @@ fn perturbed_link(link: &Link, size: f64, random: &mut ChaCha8Rng) -> Link {
     }
 }
 
-/// Uniform in −1 … 1.
 fn symmetric(random: &mut ChaCha8Rng) -> f64 {
     random.random_range(-1.0..=1.0)
 }
 
-/// Coupling in a description file.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CouplingFile {
@@ -257,7 +251,6 @@ impl Coupling {
         }
     }
 
-    /// The file of this coupling.
     pub(super) fn file(&self, names: &[&str]) -> CouplingFile {
         let coupled: Vec<usize> = (0..names.len()).filter(|&j| self.couples(j)).collect();
         let row = |&drive: &usize| coupled.iter().map(|&j| self.drives[(drive, j)]).collect();

@@ -6,6 +6,7 @@ use super::{
     Workspace,
 };
 use crate::Refusal;
+use crate::files::from_toml;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -109,9 +110,8 @@ pub(super) struct InertiaFile {
     pub(super) yz: f64,
 }
 
-/// Reads, checks and converts the text of a description.
 pub(super) fn parse(file: &str, text: &str) -> Result<Robot, Refusal> {
-    let raw = toml::from_str(text).map_err(|error| Refusal::toml(file, text, &error))?;
+    let raw = from_toml(text).map_err(|problem| Refusal::of(file, problem))?;
     read(file, raw)
 }
 
@@ -236,7 +236,6 @@ fn link_in_craig_frame(
     Ok(in_dh_frame.placed(end))
 }
 
-/// Checks the numbers of drive, friction and limits.
 fn check_numbers(joint: &JointFile, check: &Check<'_>) -> Result<(), Refusal> {
     let (drive, friction, limits) = (&joint.drive, &joint.friction, &joint.limits);
     let (stribeck_velocity, cycles) = (friction.stribeck_velocity, friction.cogging_cycles_rev);

@@ -39,6 +39,13 @@ impl Placement {
         placement.snapped()
     }
 
+    /// Roll, pitch and yaw about fixed axes, rad.
+    pub fn rpy(&self) -> Vector3<f64> {
+        let rot = Rotation3::from_matrix_unchecked(self.rot_parent_child);
+        let (roll, pitch, yaw) = rot.euler_angles();
+        Vector3::new(roll, pitch, yaw)
+    }
+
     /// This placement followed by another one.
     pub fn then(&self, next: &Self) -> Self {
         Self {

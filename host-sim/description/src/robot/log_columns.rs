@@ -1,7 +1,7 @@
 //! Names and units of the columns of foreign logs.
 
 use crate::Refusal;
-use crate::files::read_text;
+use crate::files::{from_toml, read_text};
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 
@@ -227,14 +227,13 @@ impl LogColumns {
             let known = LOG_SOURCES.join(", ");
             Refusal::of(path, format!("not one of {known}, and as a file: {error}"))
         })?;
-        let columns: Self =
-            toml::from_str(&text).map_err(|error| Refusal::toml(path, &text, &error))?;
+        let columns: Self = from_toml(&text).map_err(|problem| Refusal::of(path, problem))?;
         let mut ratios = columns.gear_ratios.iter();
         match ratios.find(|ratio| !ratio.is_normal()) {
-            Some(ratio) => Err(Refusal::of(
-                path,
-                format!("gear_ratios: {ratio} is no ratio"),
-            )),
+            Some(ratio) => {
+                let problem = format!("gear_ratios: {ratio} is no ratio");
+                Err(Refusal::of(path, problem))
+            }
             None => Ok(columns),
         }
     }

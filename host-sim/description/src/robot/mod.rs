@@ -10,7 +10,7 @@ mod geometry;
 mod log_columns;
 mod overlay;
 
-pub use body::{Coupling, Perturbation};
+pub use body::Coupling;
 pub(crate) use file::fits_board;
 pub use foretorque::arm::LINK_PARAMETERS;
 pub use foretorque::dynamics::MAX_JOINTS;
@@ -207,27 +207,6 @@ impl Robot {
         let links = joints.flat_map(|joint| joint.link.standard_parameters());
         let rotors = self.joints.iter().map(|joint| joint.drive.rotor_inertia);
         links.chain(rotors).collect()
-    }
-}
-
-impl Link {
-    /// Standard parameters: m, m·x, m·y, m·z, Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the origin of the link frame (eq. 14).
-    ///
-    /// Parallel axes: `I_o = I_c + m (c·c 1 − c cᵀ)`.
-    pub fn standard_parameters(&self) -> [f64; LINK_PARAMETERS] {
-        let (m, c) = (self.mass, self.com);
-        let i = self.inertia_com + m * (c.dot(&c) * Matrix3::identity() - c * c.transpose());
-        let first = m * c;
-        let [xx, yy, zz, xy, xz, yz] = [i.m11, i.m22, i.m33, i.m12, i.m13, i.m23];
-        [m, first.x, first.y, first.z, xx, yy, zz, xy, xz, yz]
-    }
-
-    /// Second moments of mass about the centre of mass, `½ tr(I) 1 − I`, kg·m².
-    ///
-    /// A mass distribution exists exactly when this matrix has no negative eigenvalue, which is the triangle inequality
-    /// of the principal moments of inertia.
-    pub fn second_moments(&self) -> Matrix3<f64> {
-        0.5 * self.inertia_com.trace() * Matrix3::identity() - self.inertia_com
     }
 }
 

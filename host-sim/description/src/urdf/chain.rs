@@ -17,7 +17,6 @@ const TORQUE: (f64, f64) = (1.5, 1.0);
 /// Largest share of a torque limit that friction takes at the velocity limit.
 const FRICTION_SHARE: f64 = 0.75;
 
-/// Builds the arm that the selection picks from the tree.
 pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Import, String> {
     let mut tree = Tree::of(document)?;
     let base = tree.base(selection)?;

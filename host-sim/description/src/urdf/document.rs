@@ -19,7 +19,6 @@ pub(super) const EARTH: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 /// Mend of a file with macros or their variables.
 const EXPAND: &str = ": expand the file first (xacro FILE)";
 
-/// All links and joints of a file.
 #[derive(Default)]
 pub(super) struct Document {
     pub(super) name: String,
@@ -31,14 +30,12 @@ pub(super) struct Document {
     pub(super) joints: Vec<JointElement>,
 }
 
-/// A link.
 pub(super) struct LinkElement {
     pub(super) name: String,
     /// Mass distribution in the link frame, unchecked.
     pub(super) inertial: Option<Link>,
 }
 
-/// A joint.
 #[derive(Default)]
 pub(super) struct JointElement {
     pub(super) name: String,
@@ -58,7 +55,6 @@ pub(super) struct JointElement {
     pub(super) rotor: f64,
 }
 
-/// The limits of a joint, as far as they are given.
 #[derive(Default)]
 pub(super) struct LimitElement {
     pub(super) lower: Option<f64>,
@@ -112,7 +108,6 @@ pub(super) fn parsed(text: &str) -> Result<roxmltree::Document<'_>, String> {
 /// Elements in each other: what reads them calls itself for each.
 const DEEPEST: usize = 500;
 
-/// Reads all links and joints of a URDF.
 pub(super) fn read(text: &str) -> Result<Document, String> {
     let xml = parsed(text)?;
     let root = xml.root_element();

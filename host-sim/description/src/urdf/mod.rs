@@ -81,7 +81,6 @@ pub fn parse(file: &str, text: &str, selection: &Selection<'_>) -> Result<Import
         .map_err(|problem| Refusal::of(file, problem))
 }
 
-/// Links and joints of a URDF or MJCF.
 fn read(file: &str, text: &str) -> Result<document::Document, String> {
     // Common URDF parsers accept blank lines before the XML declaration.
     let text = document::with_prefixes(text.trim_start());

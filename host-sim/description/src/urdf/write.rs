@@ -56,7 +56,7 @@ pub fn write(robot: &Robot) -> String {
         escaped(&robot.name)
     );
     let origin = |frame: &Placement| {
-        let (xyz, rpy) = (list(&frame.origin), list(&angles(frame)));
+        let (xyz, rpy) = (list(&frame.origin), list(&frame.rpy()));
         format!("<origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>")
     };
     if let Some(tilted) = tilt(&robot.gravity) {
@@ -160,7 +160,7 @@ pub fn mjcf(robot: &Robot) -> String {
 /// The SDF of an arm, fixed to the world. Rotor inertias stand in Drake's element for them, the only one there is.
 pub fn sdf(robot: &Robot) -> String {
     let (base, parts, tip) = parts(robot);
-    let pose = |frame: &Placement| format!("{} {}", list(&frame.origin), list(&angles(frame)));
+    let pose = |frame: &Placement| format!("{} {}", list(&frame.origin), list(&frame.rpy()));
     let mut out = format!(
         r#"<?xml version="1.0"?>
 <sdf version="1.9" xmlns:drake="http://drake.mit.edu"><model name="{}">
@@ -225,13 +225,6 @@ fn tilt(gravity: &Vector3<f64>) -> Option<Placement> {
         rot_parent_child: rot.into_inner(),
         ..Placement::identity()
     })
-}
-
-/// Roll, pitch and yaw about fixed axes, rad.
-fn angles(frame: &Placement) -> Vector3<f64> {
-    let rot = Rotation3::from_matrix_unchecked(frame.rot_parent_child);
-    let (roll, pitch, yaw) = rot.euler_angles();
-    Vector3::new(roll, pitch, yaw)
 }
 
 /// Tensor entries about the centre of mass, kg·m²: xx, yy, zz, xy, xz, yz.

@@ -15,7 +15,7 @@ use foretorque_workbench::dynamics::{Joints, ReferenceModel, State};
 use foretorque_workbench::excitation::Excitation;
 use foretorque_workbench::metrics::{TorqueError, TrackingError};
 use foretorque_workbench::plant::{Plant, PlantConfig};
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
 
 const PERIOD_S: f64 = 1e-3;
@@ -39,8 +39,8 @@ impl<'p> Setup<'p> {
     pub(super) fn new(config: &DemoConfig, progress: Progress<'p>) -> Result<Self, StudyError> {
         let robot = &Robot::load(Ur5::NAME)?;
         let other_size = || unsupported(N);
-        let truth = robot.perturbed(config.seed, &Perturbation::PLANT);
-        let wrong = truth.perturbed(config.seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
+        let truth = robot.perturbed(config.seed);
+        let wrong = truth.wrong_prior(config.seed.wrapping_add(1));
         let (mut done, candidates) = (0, config.excitation_candidates);
         let series =
             Excitation::quick(robot, config.seed, EXCITATION_PERIOD_S, candidates, || {

@@ -13,7 +13,7 @@ use foretorque_workbench::metrics::TorqueError;
 use foretorque_workbench::parallel::use_every_core;
 use foretorque_workbench::plant::{Events, Payload, Plant, PlantConfig};
 use foretorque_workbench::report::page::{Page, Section};
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::via::ViaPath;
 use foretorque_workbench::trajectory::{Trajectory, VALIDATION_PEAK_RAD_S};
 use rand::{Rng, SeedableRng};
@@ -92,8 +92,8 @@ struct Setup {
 impl Setup {
     fn new(seed: u64) -> Result<Self, StudyError> {
         let described = Robot::load("ur5")?;
-        let truth = described.perturbed(seed, &Perturbation::PLANT);
-        let wrong = truth.perturbed(seed.wrapping_add(1), &Perturbation::WRONG_PRIOR);
+        let truth = described.perturbed(seed);
+        let wrong = truth.wrong_prior(seed.wrapping_add(1));
         Ok(Self {
             seed,
             described,

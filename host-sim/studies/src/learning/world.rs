@@ -3,7 +3,7 @@
 use super::PERIOD_S;
 use crate::StudyError;
 use foretorque_workbench::plant::ReportFaults;
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -74,7 +74,7 @@ impl WorldArm {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(7);
         let (robot, _) = described.with_assumed_rotors();
-        let mut truth = robot.perturbed(seed, &Perturbation::PLANT);
+        let mut truth = robot.perturbed(seed);
         for joint in &mut truth.joints {
             joint.drive.rotor_inertia *= 1.0 + ROTOR_ERROR * random.random_range(-1.0..1.0);
             let (limits, friction) = (joint.limits, &mut joint.friction);

@@ -9,7 +9,7 @@ use foretorque_workbench::identification::{
 };
 use foretorque_workbench::metrics::{MOVING_RAD_S, TorqueError};
 use foretorque_workbench::plant::{Plant, PlantConfig};
-use foretorque_workbench::robot::{LINK_PARAMETERS, Perturbation, Robot};
+use foretorque_workbench::robot::{LINK_PARAMETERS, Robot};
 use foretorque_workbench::trajectory::Trajectory;
 use nalgebra::DMatrix;
 use rand::seq::SliceRandom;
@@ -253,7 +253,7 @@ impl Bench {
 
 /// The true arm of a draw: the description's masses varied by up to 20 %, its friction as the cell asks, no cogging.
 fn arm(robot: &Robot, cell: &Cell) -> Robot {
-    let mut arm = robot.perturbed(cell.seed, &Perturbation::PLANT);
+    let mut arm = robot.perturbed(cell.seed);
     for joint in &mut arm.joints {
         let friction = &mut joint.friction;
         friction.cogging = 0.0;

@@ -1,7 +1,7 @@
 //! Profile of an arm: its drives, buses and rate, from a TOML file; and the time of a frame on its bus.
 
 use super::BusError;
-use crate::files::{read_text, toml_complaint};
+use crate::files::{from_toml, read_text};
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusConfig, BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Carry, DriveProfile, Frame, Frames, JointCommand, JointReply};
@@ -60,10 +60,7 @@ impl Profile {
     /// Errors: as [`load`](Self::load).
     pub fn parse(file: &str, text: &str) -> Result<Self, BusError> {
         let refused = |problem| refused(file, problem);
-        let mut profile: Self = toml::from_str(text).map_err(|error| {
-            let (line, reason) = toml_complaint(text, &error);
-            refused(format!("line {line}: {reason}"))
-        })?;
+        let mut profile: Self = from_toml(text).map_err(refused)?;
         file.clone_into(&mut profile.file);
         let check = |sound: bool, problem| sound.then_some(()).ok_or_else(|| refused(problem));
         let (rate, buses) = (profile.rate_hz, profile.bus.len());

@@ -211,7 +211,6 @@ pub struct PdConfig<const N: usize> {
     inv_period: f64,
 }
 
-/// State of the controller: the position before and the speed estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PdState<const N: usize> {
     previous_q: Joints<N>,

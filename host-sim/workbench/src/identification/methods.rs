@@ -340,12 +340,11 @@ mod tests {
     use super::*;
     use crate::identification::columns::Parameter;
     use crate::identification::dataset::{RowSums, random_rows};
-    use crate::robot::Perturbation;
 
     #[test]
     fn unsupported_columns_vanish_and_the_prior_steadies_the_rest() {
         let robot = Robot::load("ur5").expect("built in");
-        let truth = robot.perturbed(3, &Perturbation::PLANT);
+        let truth = robot.perturbed(3);
         let full = "full".parse().expect("known");
         let layout = Layout::new(&robot, &full);
         let plain = |p: &Parameter| p.friction.is_some_and(|(kind, _)| kind.is_plain());

@@ -3,7 +3,7 @@
 use super::Measurement;
 use crate::Refusal;
 use crate::dynamics::Joints;
-use crate::files::{at, read_text};
+use crate::files::{from_toml, text_of};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -49,7 +49,6 @@ pub struct PlantEffects {
     pub torque_lag_ms: f64,
 }
 
-/// Period of the sensor drift, s.
 const DRIFT_PERIOD_S: f64 = 300.0;
 
 impl PlantEffects {
@@ -57,12 +56,10 @@ impl PlantEffects {
     ///
     /// Errors: one line that names the file.
     pub fn load(path: &Path) -> Result<Self, Refusal> {
-        let text = read_text(path).map_err(|error| Refusal(at(path, error).to_string()))?;
-        let file = path.display().to_string();
-        let effects = toml::from_str::<Self>(&text);
-        let effects = effects.map_err(|error| Refusal::toml(&file, &text, &error))?;
+        let refused = |problem: String| Refusal::of(path.display(), problem);
+        let effects: Self = from_toml(&text_of(path)?).map_err(refused)?;
         let problem = effects.problem();
-        problem.map_or(Ok(effects), |problem| Err(Refusal::of(file, problem)))
+        problem.map_or(Ok(effects), |problem| Err(refused(problem.to_owned())))
     }
 
     /// First value without a meaning.

@@ -1,7 +1,6 @@
 //! The arm against energy balance, finer steps, closed forms of gears, and the statistics of its sensors.
 
 use super::*;
-use crate::robot::Perturbation;
 use crate::trajectory::Trajectory;
 use std::f64::consts::TAU;
 
@@ -16,7 +15,7 @@ fn quiet(step_rate_hz: f64) -> PlantConfig {
 
 fn truth() -> Robot {
     let ur5 = Robot::load("ur5").expect("built in");
-    ur5.perturbed(1, &Perturbation::PLANT)
+    ur5.perturbed(1)
 }
 
 fn without_friction(joint: &mut crate::robot::Joint) {

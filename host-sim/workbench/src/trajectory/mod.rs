@@ -6,7 +6,7 @@ pub mod via;
 use crate::Refusal;
 use crate::dynamics::{Joints, State};
 use crate::excitation::Excitation;
-use crate::files::{at, read_text};
+use crate::files::text_of;
 use crate::robot::Robot;
 use crate::table::read_states;
 use std::fmt::Display;
@@ -147,9 +147,7 @@ impl<const N: usize> Trajectory<N> {
         let path = Path::new(name);
         let trajectory = match path.extension().and_then(|extension| extension.to_str()) {
             Some("json") => {
-                let series: Excitation =
-                    serde_json::from_str(&read(path)?).map_err(in_file(name))?;
-                series.check(robot).map_err(in_file(name))?;
+                let series = excitation(path, robot)?;
                 let duration_s = duration_s.unwrap_or(series.period_s);
                 Self::Excitation { series, duration_s }
             }
@@ -158,7 +156,7 @@ impl<const N: usize> Trajectory<N> {
                     let reason = "paths of the tool are not planned for coupled joints";
                     return Err(Refusal::of(name, reason));
                 }
-                let samples = cartesian::plan(robot, &read(path)?, period_s);
+                let samples = cartesian::plan(robot, &text_of(path)?, period_s);
                 // Every sample was checked when it was laid out, so that the message names the move.
                 return samples.map(Self::Sampled).map_err(in_file(name));
             }
@@ -173,6 +171,16 @@ impl<const N: usize> Trajectory<N> {
         trajectory.check(robot, period_s).map_err(in_file(name))?;
         Ok(trajectory)
     }
+}
+
+/// The excitation for `robot` in a file.
+///
+/// Errors: one line that names the file.
+pub fn excitation(path: &Path, robot: &Robot) -> Result<Excitation, Refusal> {
+    let name = &path.display().to_string();
+    let series: Excitation = serde_json::from_str(&text_of(path)?).map_err(in_file(name))?;
+    series.check(robot).map_err(in_file(name))?;
+    Ok(series)
 }
 
 /// One motion keeps the limits, but for a share of them.
@@ -202,10 +210,6 @@ fn within<const N: usize>(
         }
     }
     Ok(())
-}
-
-fn read(path: &Path) -> Result<String, Refusal> {
-    read_text(path).map_err(|error| Refusal(at(path, error).to_string()))
 }
 
 fn in_file<E: Display>(name: &str) -> impl Fn(E) -> Refusal {
@@ -290,30 +294,6 @@ mod tests {
         to.q[0] = 1.0;
         let rests = Trajectory::<6>::Sampled(vec![(0.0, from), (60.0, from), (90.0, to)]);
         rests.check(&robot, 1e-3).expect("slow enough");
-    }
-
-    #[test]
-    fn a_motion_beyond_a_limit_is_named_with_joint_and_time() {
-        let robot = Robot::load("ur5").expect("built in");
-        let still = State::rest(Joints::<6>::zeros());
-        let (mut far, mut fast, mut hard) = (still, still, still);
-        far.q[1] = -6.4;
-        fast.qd[2] = -3.2;
-        hard.qdd[5] = 10.5;
-        for (motion, asked, limit) in [
-            (far, "joint 2 is asked for -6.400 rad", "-6.283 rad"),
-            (fast, "joint 3 is asked for -3.200 rad/s", "3.142 rad/s"),
-            (hard, "joint 6 is asked for 10.500 rad/s²", "10.000 rad/s²"),
-        ] {
-            let path = Trajectory::Sampled(vec![(0.0, still), (0.1, motion)]);
-            let refused = path.check(&robot, 1e-3).expect_err(asked);
-            let line = format!("{asked} at 0.100 s, its limit is {limit}");
-            assert_eq!(refused.to_string(), line);
-        }
-        let sound = Trajectory::validation(&robot, 1);
-        for sound in [Trajectory::Sampled(vec![(0.0, still)]), sound] {
-            sound.check(&robot, 1e-3).expect("inside the limits");
-        }
     }
 
     /// Rows of a motion of joint 1 of a UR5 every `step_s`, with six decimals.

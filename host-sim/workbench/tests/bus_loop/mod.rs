@@ -14,7 +14,7 @@ use foretorque_workbench::bus::{BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::plant::{Events, Plant, PlantConfig};
-use foretorque_workbench::robot::{Perturbation, Robot};
+use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
 use foretorque_workbench::trajectory::via::ViaPath;
 use std::path::Path;
@@ -42,7 +42,7 @@ pub(crate) fn network(
     events: Events<6>,
 ) -> SimulatedNetwork<6> {
     let robot = Robot::load("ur5").expect("built in");
-    let truth = robot.perturbed(1, &Perturbation::PLANT);
+    let truth = robot.perturbed(1);
     let plant = Plant::<6>::new(&truth, plant_config(plant), 1).expect("six joints");
     let mut plant = plant.with_events(events);
     plant.place(&path.at(0.0).q);

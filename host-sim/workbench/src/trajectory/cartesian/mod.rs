@@ -9,6 +9,7 @@ pub use plan::plan;
 
 use super::via::ViaPath;
 use crate::Refusal;
+use crate::files::from_toml;
 use crate::kinematics::{Twist, rotation_vector, stacked};
 use crate::robot::Placement;
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3, Vector6};
@@ -242,12 +243,8 @@ struct Move {
 /// Longest move, s: an hour of ticks is 3.6 million rows.
 const LONGEST_S: f64 = 3600.0;
 
-/// Reads and checks a path.
 fn parse(text: &str) -> Result<Path, Refusal> {
-    let raw: PathFile = toml::from_str(text).map_err(|error| {
-        let (line, reason) = crate::files::toml_complaint(text, &error);
-        Refusal(format!("line {line}: {reason}"))
-    })?;
+    let raw: PathFile = from_toml(text).map_err(Refusal)?;
     let tool = match raw.tool {
         Some(pose) => pose.placed("tool", &Placement::identity())?,
         None => Placement::identity(),
