@@ -90,14 +90,12 @@ impl Directory {
         names
     }
 
-    /// Content of a text file.
     #[track_caller]
     fn text(&self, name: impl AsRef<Path>) -> String {
         let path = self.join(name);
         fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
     }
 
-    /// Content of a JSON file.
     #[track_caller]
     fn json(&self, name: impl AsRef<Path>) -> Value {
         serde_json::from_str(&self.text(name)).expect("it is JSON")
@@ -133,7 +131,6 @@ fn soon<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// `text` has `words` in it.
 #[track_caller]
 fn assert_contains(text: &str, words: impl AsRef<str>) {
     let words = words.as_ref();
@@ -174,7 +171,6 @@ fn states_of(joints: usize, values: &[f64]) -> String {
     lines.map(|line| line + "\n").collect()
 }
 
-/// Two states of an arm of `joints` joints.
 fn states(joints: usize) -> String {
     states_of(joints, &[0.25, -0.5])
 }

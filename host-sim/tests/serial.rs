@@ -12,7 +12,7 @@ use foretorque_workbench::board::{Native, Transport};
 use serialport::TTYPort;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 use std::sync::Mutex;
 use std::time::Duration;
 
@@ -112,6 +112,13 @@ fn client(name: &str) -> PathBuf {
     clients.join(name)
 }
 
+/// The client in Python.
+fn interpreted(python: &str) -> Command {
+    let mut command = Command::new(python);
+    command.arg("-B").arg(client("foretorque.py"));
+    command
+}
+
 /// The client in C, where there is a compiler.
 fn compiled(here: &Path) -> Option<PathBuf> {
     let program = here.join("client");
@@ -149,19 +156,25 @@ impl Transport for Tap<'_> {
     }
 }
 
-/// Exit code and errors of a client of a board, and the tags of its messages.
-fn tapped(command: impl FnOnce(&str) -> Command) -> (Option<i32>, String, Vec<u8>) {
+/// Output of a client of a board, and the frames that the board received.
+fn tapped(command: impl FnOnce(&str) -> Command) -> (Output, Vec<Vec<u8>>) {
     let received = Mutex::default();
     let output = with_board(Tap(ur5(), &received), |port| command(port).output());
-    let output = output.expect("the client starts");
     let received = received.into_inner().expect("no panic");
-    // Behind the length of the first block, version and number.
-    let frames = received.split(|byte| *byte == 0);
-    let tags = frames.filter_map(|frame| frame.get(4).copied());
+    let frames = received.split(|byte| *byte == 0).map(<[u8]>::to_vec);
+    (output.expect("the client starts"), frames.collect())
+}
+
+/// Exit code and errors of a client of a board, and the tags of its messages.
+fn ended(command: impl FnOnce(&str) -> Command) -> (Option<i32>, String, Vec<u8>) {
+    let (output, frames) = tapped(command);
+    let tags = frames.iter().filter_map(|frame| frame.get(TAG).copied());
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     (output.status.code(), stderr, tags.collect())
 }
 
+/// Place of the tag in a frame: behind the length of the first block, version and number.
+const TAG: usize = 4;
 /// Tags of messages to a board.
 const SAMPLE: u8 = 1;
 const CONFIGURE: u8 = 3;
@@ -171,43 +184,26 @@ const DISARM: u8 = 11;
 #[test]
 fn clients_refuse_mistakes_before_they_arm() {
     let here = Directory::new("client-mistakes");
-    let python = python::with("termios");
-    let program = compiled(&here);
-    let cases = [
-        (["--seconds", "0"], vec!["0"]),
-        (["--seconds", "-1"], vec!["-1"]),
-        (["--seconds", "nan"], vec!["nan"]),
-        (
-            ["--period-s", "0"],
-            vec!["1", "log.csv", "0,0,0,0,0,0,0,0,0"],
-        ),
-        (["--start", "0,0,0"], vec!["1", "log.csv", "0,0,0"]),
-        (
-            ["--start", "0,0,0,0,0,0,0"],
-            vec!["1", "log.csv", "0,0,0,0,0,0,0"],
-        ),
-        (["--start", "a,b"], vec!["1", "log.csv", "a,b"]),
-    ];
-    for (options, words) in cases {
-        let python = python.as_ref().map(|python| {
-            let mut command = Command::new(python);
-            command.arg("-B").arg(client("foretorque.py"));
-            (command, options.to_vec())
-        });
-        let c = program
-            .as_ref()
-            .map(|program| (Command::new(program), words));
-        for (mut command, words) in python.into_iter().chain(c) {
-            command.current_dir(&*here);
-            let (code, stderr, tags) = tapped(|port| {
-                command.arg(port).args(&words);
+    let refuses = |client: &dyn Fn() -> Command, cases: &str| {
+        for case in cases.split(" | ") {
+            let (code, stderr, tags) = ended(|port| {
+                let mut command = client();
+                command.current_dir(&*here).arg(port).args(case.split(' '));
                 command
             });
-            assert_eq!(code, Some(2), "{words:?}: {stderr}");
+            assert_eq!(code, Some(2), "{case}: {stderr}");
             assert_contains(stderr.lines().last().expect("a line"), "error: ");
             assert!(!stderr.contains("Traceback"), "{stderr}");
-            assert!(!tags.contains(&ARM), "{words:?}");
+            assert!(!tags.contains(&ARM), "{case}");
         }
+    };
+    if let Some(python) = python::with("termios") {
+        let cases = "--seconds 0 | --seconds -1 | --seconds nan | --period-s 0 | --start 0,0,0 | --start 0,0,0,0,0,0,0 | --start a,b";
+        refuses(&|| interpreted(&python), cases);
+    }
+    if let Some(program) = compiled(&here) {
+        let cases = "0 | -1 | nan | 1 log.csv 0,0,0,0,0,0,0,0,0 | 1 log.csv 0,0,0 | 1 log.csv 0,0,0,0,0,0,0 | 1 log.csv a,b";
+        refuses(&|| Command::new(&program), cases);
     }
     assert!(here.files(".").iter().all(|name| name == "client"));
 }
@@ -219,10 +215,9 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
     };
     let here = Directory::new("client-period");
     let run = |options: &[&str]| {
-        tapped(|port| {
-            let mut command = Command::new(&python);
-            command.arg("-B").arg(client("foretorque.py")).arg(port);
-            command.current_dir(&*here).args(options);
+        ended(|port| {
+            let mut command = interpreted(&python);
+            command.current_dir(&*here).arg(port).args(options);
             command
         })
     };
@@ -254,14 +249,12 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
 ///
 /// * `command` the client, given the port of the board
 fn driven(log: &Path, command: impl FnOnce(&str) -> Command) -> Vec<Vec<f64>> {
-    let received = Mutex::default();
-    let output = with_board(Tap(ur5(), &received), |port| command(port).output());
-    let output = output.expect("the client starts");
+    let (output, frames) = tapped(command);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{stderr}");
-    let received = received.into_inner().expect("no panic");
-    let frames = received.split(|byte| *byte == 0);
-    let samples = frames.filter(|frame| frame.get(4) == Some(&SAMPLE));
+    let samples = frames
+        .iter()
+        .filter(|frame| frame.get(TAG) == Some(&SAMPLE));
     // Behind the flags the temperature of a motor, °C.
     assert!(samples.map(|frame| frame[6]).all(|celsius| celsius == 25));
     let stdout = String::from_utf8_lossy(&output.stdout);
@@ -299,9 +292,10 @@ fn python_and_c_drive_a_board_and_get_the_same_torques() {
     if let Some(python) = python::with("termios") {
         let log = here.join("python.csv");
         logs.push(driven(&log, |port| {
-            let mut command = Command::new(python);
-            command.arg("-B").arg(client("foretorque.py")).arg(port);
-            command.args(["--seconds", "1", "--start", START, "--log"]);
+            let mut command = interpreted(&python);
+            command
+                .arg(port)
+                .args(["--seconds", "1", "--start", START, "--log"]);
             command.arg(&log);
             command
         }));
