@@ -60,7 +60,6 @@ pub(super) struct RobotOptions {
 }
 
 impl RobotOptions {
-    /// Files of the description.
     pub(super) fn files(&self) -> Vec<PathBuf> {
         Robot::files(Path::new(&self.robot))
     }
@@ -76,7 +75,6 @@ impl RobotOptions {
 }
 
 impl ArmOptions {
-    /// Part of a URDF that is the arm.
     pub(super) fn selection(&self) -> Selection<'_> {
         Selection {
             base: self.base.as_deref(),

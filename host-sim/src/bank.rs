@@ -12,6 +12,7 @@ use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{at, write_whole};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::snapshot::aligned;
+use hex::FromHex as _;
 use std::fs;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -42,7 +43,6 @@ pub(super) struct Arguments {
     key_file: Option<PathBuf>,
 }
 
-/// Banks on a board.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Source {
     /// In force, with all that was learnt
@@ -196,7 +196,6 @@ pub(super) fn read_for(path: &Path, robot: &Robot) -> Result<ParameterBank, Fail
     Ok(bank)
 }
 
-/// The bytes of a bank file.
 pub(super) fn bytes(bank: &ParameterBank) -> Result<Vec<u8>, Failure> {
     let mut buffer = vec![0; ParameterBank::MAX_BYTES];
     Ok(bank.encode(&mut buffer)?.to_vec())
@@ -206,29 +205,9 @@ pub(super) fn bytes(bank: &ParameterBank) -> Result<Vec<u8>, Failure> {
 ///
 /// Errors: the file's, or that it holds no key.
 pub(super) fn read_key(path: &Path) -> Result<WriteKey, Failure> {
-    let key = key_bytes(text_of(path)?.trim()).and_then(WriteKey::from_slot);
-    key.ok_or_else(|| {
+    let key = <[u8; KEY_BYTES]>::from_hex(text_of(path)?.trim()).ok();
+    key.and_then(WriteKey::from_slot).ok_or_else(|| {
         let way = "32 hexadecimal digits, not all 0 or f";
         unusable(format!("{}: not a write key: {way}", path.display()))
     })
-}
-
-fn key_bytes(text: &str) -> Option<[u8; KEY_BYTES]> {
-    // The parser takes a sign and fewer digits, too.
-    let digits = text.len() == 2 * KEY_BYTES && text.bytes().all(|c| c.is_ascii_hexdigit());
-    let key = u128::from_str_radix(text, 16).ok();
-    key.filter(|_| digits).map(u128::to_be_bytes)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_key_is_32_hexadecimal_digits() {
-        assert_eq!(key_bytes(&"0a".repeat(16)), Some([10; 16]));
-        for (wrong, times) in [("", 1), ("0a", 1), ("0g", 16), ("+a", 16), ("0a", 17)] {
-            assert_eq!(key_bytes(&wrong.repeat(times)), None, "{wrong}");
-        }
-    }
 }

@@ -16,7 +16,6 @@ use std::time::Duration;
 /// Longest time to a board's first hello.
 const BOOT: Duration = Duration::from_secs(10);
 
-/// Boards that a command may name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum BoardChoice {
     /// The firmware's session in this process.

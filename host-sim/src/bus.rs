@@ -149,7 +149,6 @@ pub(super) struct WiringArguments {
     out: PathBuf,
 }
 
-/// Roles and ports.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum RoleName {
     /// The board sends every command on CAN1 and CAN2
@@ -180,15 +179,12 @@ impl RoleName {
     }
 }
 
-/// Writes the drives of a profile for a board on their bus.
 pub(super) fn write_wiring(arguments: &WiringArguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
     let robot = &arguments.arm.load(&profile.robot)?;
-    let read = Robot::files(Path::new(&profile.robot)).into_iter();
-    not_over(
-        read.chain([arguments.profile.clone()]),
-        [arguments.out.clone()],
-    )?;
+    let mut read = Robot::files(Path::new(&profile.robot));
+    read.push(arguments.profile.clone());
+    not_over(read, [arguments.out.clone()])?;
     on_arm!(robot, A, N, P => arguments.write::<A, N, P>(&profile))
 }
 

@@ -51,7 +51,6 @@ pub(super) struct Arguments {
     out: PathBuf,
 }
 
-/// Names of the steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum StepName {
     /// Every drive answers, with the scales of its profile

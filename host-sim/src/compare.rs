@@ -54,7 +54,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// File of a report.
 fn report(path: &Path) -> PathBuf {
     match path.is_dir() {
         true => path.join("report.json"),

@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 
 /// Print the description of an arm, with what was assumed for it: a start for a file with all that a URDF does not have
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Describe {
     /// Robot: a built-in name or a description file (TOML, URDF or MJCF)
     robot: String,

@@ -28,7 +28,6 @@ const REPORT_NOISE: f64 = 0.01;
 
 /// Drive an arm whose joints are drives on a CAN bus, with learnt torque feed-forward in every command
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// Profile of the arm: its drives, buses, gains and rate (see docs/bus.md)
     #[arg(long, value_name = "FILE")]
@@ -66,7 +65,6 @@ pub(super) struct Arguments {
     out: PathBuf,
 }
 
-/// Figures of a run.
 #[derive(Debug, Serialize)]
 struct Summary {
     robot: String,
@@ -91,11 +89,10 @@ struct Summary {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let profile = Profile::load(&arguments.profile)?;
     let robot = &arguments.arm.load(&profile.robot)?;
-    let read = Robot::files(Path::new(&profile.robot)).into_iter();
-    let read = read.chain([arguments.profile.clone(), (&arguments.trajectory).into()]);
-    let read = read
-        .chain(arguments.bank.clone())
-        .chain(arguments.disturbances.effects.clone());
+    let options = [&arguments.bank, &arguments.disturbances.effects];
+    let mut read = Robot::files(Path::new(&profile.robot));
+    read.extend([arguments.profile.clone(), (&arguments.trajectory).into()]);
+    read.extend(options.into_iter().flatten().cloned());
     let results = ["log.csv", "log.mcap", "drive.json", "bank.bin"];
     not_over(read, within(&arguments.out, &results))?;
     on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))

@@ -1,18 +1,17 @@
 use super::arm::{RobotOptions, with_rotors};
 use super::terminal::{Bar, show};
-use super::{Failure, bail, finite, not_over, positive, text_of, unusable, within};
+use super::{Failure, at_most, bail, finite, not_over, positive, within};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::excitation::{self, Criterion, Excitation, MOST_PERIOD_S, SearchConfig};
 use foretorque_workbench::files::{WholeFile, write_whole};
 use foretorque_workbench::report::put_json;
-use foretorque_workbench::robot::Robot;
 use foretorque_workbench::table::{TableWriter, state_columns};
+use foretorque_workbench::trajectory;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 /// Optimised excitation trajectory inside the robot's limits, with a certificate of each
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     #[command(flatten)]
     pub(super) robot: RobotOptions,
@@ -55,7 +54,6 @@ pub(super) struct Arguments {
     threads: Option<NonZeroUsize>,
 }
 
-/// Files that are written.
 const RESULTS: [&str; 4] = [
     "excitation.json",
     "excitation.csv",
@@ -77,9 +75,7 @@ enum CriterionName {
 
 /// Period of a motion, s.
 pub(super) fn period(text: &str) -> Result<f64, String> {
-    let limit = format!("must be at most {MOST_PERIOD_S} s");
-    let period_s = positive(text)?;
-    (period_s <= MOST_PERIOD_S).then_some(period_s).ok_or(limit)
+    at_most(text, MOST_PERIOD_S)
 }
 
 impl From<CriterionName> for Criterion {
@@ -95,8 +91,10 @@ impl From<CriterionName> for Criterion {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let files = arguments.robot.files().into_iter();
-    let files = files.chain(arguments.improve.clone());
-    not_over(files, within(&arguments.out, &RESULTS))?;
+    not_over(
+        files.chain(arguments.improve.clone()),
+        within(&arguments.out, &RESULTS),
+    )?;
     let mut robot = with_rotors(&arguments.robot.load_coupled()?)?;
     let solid = robot.joints.iter().any(|joint| !joint.capsules.is_empty());
     let unchecked = match robot.coupling {
@@ -119,7 +117,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     robot.workspace.table_height = arguments.table_m.or(robot.workspace.table_height);
     let robot = &robot;
     let given = arguments.improve.as_ref();
-    let given = given.map(|path| read(path, robot)).transpose()?;
+    let given = given
+        .map(|path| trajectory::excitation(path, robot))
+        .transpose()?;
     let limit = arguments.condition_limit;
     let config = SearchConfig {
         // A given trajectory keeps its period.
@@ -177,20 +177,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     show!("{}", arguments.out.join("excitation.json").display())?;
     Ok(())
-}
-
-/// The excitation in a file, which may be of another robot.
-pub(super) fn series(path: &Path) -> Result<Excitation, Failure> {
-    let series = serde_json::from_str(&text_of(path)?);
-    series.map_err(|error| unusable(format!("{}: {error}", path.display())))
-}
-
-/// The excitation for `robot` in a file.
-pub(super) fn read(path: &Path, robot: &Robot) -> Result<Excitation, Failure> {
-    let series = series(path)?;
-    let checked = series.check(robot);
-    checked.map_err(|error| unusable(format!("{}: {error}", path.display())))?;
-    Ok(series)
 }
 
 /// Everything but the coefficients.

@@ -3,7 +3,7 @@
 use super::arm::ArmOptions;
 use super::boards::BoardChoice;
 use super::terminal::{Bar, show};
-use super::{Failure, Snapshot, bail, duration, excite, identification, unusable};
+use super::{Failure, Snapshot, bail, duration, identification, unusable};
 use clap::{Args, Command, Subcommand};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
@@ -18,6 +18,7 @@ use foretorque_studies::{Outcome, Progress, Records, efficiency, real_ur5, repla
 use foretorque_workbench::board::BoardError;
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::robot::Robot;
+use foretorque_workbench::trajectory;
 use serde::Serialize;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -87,7 +88,6 @@ struct Jobs {
 
 /// From a wrong prior, learn on the board in closed loop, freeze, play an unseen path
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct Demo {
     #[command(flatten)]
     out: Out,
@@ -104,7 +104,6 @@ struct Demo {
 
 /// Error of the robust fit over the Cramér-Rao bound, without and with outliers
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct Efficiency {
     #[command(flatten)]
     out: Out,
@@ -115,7 +114,6 @@ struct Efficiency {
 
 /// One optimised excitation for every seed, every limit counted again
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct Excitation {
     #[command(flatten)]
     jobs: Jobs,
@@ -129,7 +127,6 @@ struct Excitation {
 
 /// Methods of identification over arms, lengths of the log and columns
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct Identification {
     #[command(flatten)]
     out: Out,
@@ -140,7 +137,6 @@ struct Identification {
 
 /// Learning on a world of arms, in closed loop, over everything that may go wrong
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct Learning {
     /// List arms and scenarios
     #[arg(long)]
@@ -172,7 +168,6 @@ struct Learning {
 
 /// The paper's experiment step by step, then every method over noise, friction and outliers
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct Paper {
     #[command(flatten)]
     jobs: Jobs,
@@ -186,7 +181,6 @@ struct Paper {
 
 /// Arguments of the studies of the real UR5.
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct OfLogs {
     #[command(flatten)]
     out: Out,
@@ -197,7 +191,6 @@ struct OfLogs {
 
 /// Ten million ticks of learning: finite, positive, near exact arithmetic, equal bits on the board
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 struct Soak {
     #[command(flatten)]
     out: Out,
@@ -261,7 +254,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Names of the studies, each with one line on what it shows.
 fn list() -> Result<(), Failure> {
     for study in Study::augment_subcommands(Command::new("experiment")).get_subcommands() {
         let shows = study.get_about().cloned().unwrap_or_default();
@@ -374,7 +366,7 @@ fn run_paper(arguments: &Paper) -> Result<(), Failure> {
     let jobs = &arguments.jobs;
     let mut config = PaperConfig::new(jobs.quick, jobs.seed, arguments.seeds)?;
     if let Some(path) = &arguments.excitation {
-        config.excitation = excite::read(path, &Robot::load("ur5")?)?;
+        config.excitation = trajectory::excitation(path, &Robot::load("ur5")?)?;
     }
     jobs.study(|records, out, progress| paper::run(config, records, out, progress))
 }

@@ -9,7 +9,6 @@ use std::time::Instant;
 
 /// Break the line, the flash, the watchdog and the processor of every board, and count what comes of it
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     /// File for the counts (JSON)
     #[arg(long, value_name = "FILE")]

@@ -124,7 +124,6 @@ pub(super) fn run(
     Ok(Outcome { report, page, text })
 }
 
-/// Fits of one arm.
 fn fit(
     directory: &Path,
     (seed, length_s): (u64, u32),

@@ -14,13 +14,13 @@ use foretorque_workbench::identification::{
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::{or_dash, ratio};
 use foretorque_workbench::robot::Robot;
+use foretorque_workbench::trajectory;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Identify an arm's parameters from logs, by all methods side by side, and validate them on unseen logs
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     #[command(flatten)]
     pub(super) robot: RobotOptions,
@@ -103,7 +103,7 @@ enum Filter {
 fn fold_period_s(arguments: &Arguments, robot: &Robot) -> Result<Option<f64>, Failure> {
     let mut period_s = arguments.period_s;
     if let Some(path) = &arguments.excitation {
-        period_s = Some(excite::read(path, robot)?.period_s);
+        period_s = Some(trajectory::excitation(path, robot)?.period_s);
     }
     match (arguments.filter, period_s) {
         (Filter::Butterworth, Some(_)) => {
@@ -130,15 +130,13 @@ impl Arguments {
                 file.display()
             );
         }
-        let truth = self.truth.iter().map(Path::new).flat_map(Robot::files);
         let logs = [&self.logs, &self.validate, &self.test];
-        let read = self.robot.files().into_iter().chain(truth);
-        let read = read.chain(logs.into_iter().flatten().cloned());
-        let read = read.chain(self.excitation.clone());
-        not_over(
-            read.chain(self.columns_of_log.file()),
-            within(out, &RESULTS),
-        )
+        let mut read = self.robot.files();
+        read.extend(self.truth.iter().map(Path::new).flat_map(Robot::files));
+        read.extend(logs.into_iter().flatten().cloned());
+        read.extend(self.excitation.clone());
+        read.extend(self.columns_of_log.file());
+        not_over(read, within(out, &RESULTS))
     }
 }
 

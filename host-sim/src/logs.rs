@@ -43,7 +43,6 @@ pub(super) struct LogOptions {
 }
 
 impl LogOptions {
-    /// File of the columns, if one is named.
     pub(super) fn file(&self) -> Option<PathBuf> {
         self.columns_from.as_ref().map(PathBuf::from)
     }
@@ -104,7 +103,6 @@ pub(super) fn check_distinct(logs: &[PathBuf]) -> Result<(), Failure> {
 
 /// Record the telemetry of a board that another host drives, into CSV and MCAP; nothing is sent
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Record {
     /// serial:PORT of an adapter whose RX is on the board's TX, too
     #[arg(long)]
@@ -188,10 +186,9 @@ impl Replay {
         check_distinct(&self.logs)?;
         let mut robot = self.robot.load()?;
         self.columns_of_log.apply(&mut robot)?;
-        let read = self.robot.files().into_iter().chain(self.logs.clone());
-        let read = read
-            .chain(self.bank.clone())
-            .chain(self.columns_of_log.file());
+        let mut read = self.robot.files();
+        read.extend(self.logs.iter().chain(&self.bank).cloned());
+        read.extend(self.columns_of_log.file());
         not_over(read, within(&self.out, &["report.json", "report.html"]))?;
         if !self.force {
             let logs: Vec<&Path> = self.logs.iter().map(PathBuf::as_path).collect();

@@ -22,9 +22,9 @@ mod terminal;
 mod torque;
 
 use clap::error::ErrorKind;
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use foretorque_workbench::Refusal;
-use foretorque_workbench::files::{at, read_text};
+use foretorque_workbench::files::text_of;
 use foretorque_workbench::identification::{Finding, Judgement, joined};
 use foretorque_workbench::snapshot;
 use foretorque_workbench::trajectory::MOST_DURATION_S;
@@ -69,14 +69,12 @@ fn sound(judgement: &Judgement, logs: &[PathBuf], way: &str) -> Result<(), Failu
     Ok(())
 }
 
-/// A finite number, as the value of an option.
 fn finite(text: &str) -> Result<f64, String> {
-    let wrong = format!("'{text}' is no number");
-    fitting(text, |_| true, &wrong)
+    fitting(text, |_| true, &format!("'{text}' is no number"))
 }
 
 /// A number that fits, as the value of an option.
-fn fitting(text: &str, fits: fn(f64) -> bool, wrong: &str) -> Result<f64, String> {
+fn fitting(text: &str, fits: impl Fn(f64) -> bool, wrong: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok();
     let value = value.filter(|value| value.is_finite() && fits(*value));
     value.ok_or_else(|| wrong.to_owned())
@@ -86,11 +84,15 @@ fn positive(text: &str) -> Result<f64, String> {
     fitting(text, |value| value > 0.0, "must be positive")
 }
 
+/// A positive number of at most `most`.
+fn at_most(text: &str, most: f64) -> Result<f64, String> {
+    let wrong = format!("must be positive and at most {most}");
+    fitting(text, |value| value > 0.0 && value <= most, &wrong)
+}
+
 /// Time of a motion, s.
 fn duration(text: &str) -> Result<f64, String> {
-    let wrong = format!("must be positive and at most {MOST_DURATION_S}");
-    let fits = |value| value > 0.0 && value <= MOST_DURATION_S;
-    fitting(text, fits, &wrong)
+    at_most(text, MOST_DURATION_S)
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {
@@ -98,8 +100,11 @@ fn not_negative(text: &str) -> Result<f64, String> {
 }
 
 fn share(text: &str) -> Result<f64, String> {
-    let fits = |value| (0.0..=1.0).contains(&value);
-    fitting(text, fits, "must lie between 0 and 1")
+    fitting(
+        text,
+        |value| (0.0..=1.0).contains(&value),
+        "must lie between 0 and 1",
+    )
 }
 
 /// Arguments of a command as `words` give them, the others as without an option.
@@ -110,10 +115,6 @@ fn arguments<A: clap::Args>(words: &[&str]) -> Result<A, Failure> {
 
 fn unsupported(joints: usize) -> Failure {
     unusable(format!("robots of {joints} joints are not supported"))
-}
-
-fn text_of(path: &Path) -> Result<String, Failure> {
-    Ok(read_text(path).map_err(|error| at(path, error))?)
 }
 
 /// Refuses to write a file of `out` over one that is read.
@@ -130,7 +131,6 @@ fn not_over(
     Ok(())
 }
 
-/// Paths of files in a directory.
 fn within<'n>(directory: &Path, names: &'n [&str]) -> impl Iterator<Item = PathBuf> + 'n {
     let directory = directory.to_owned();
     names.iter().map(move |name| directory.join(name))
@@ -151,7 +151,7 @@ impl Snapshot {
     /// Errors: a snapshot to compare with that cannot be read.
     fn check(&self) -> Result<(), Failure> {
         match &self.file {
-            Some(file) if !self.accept => text_of(file).map(drop),
+            Some(file) if !self.accept => Ok(text_of(file).map(drop)?),
             _ => Ok(()),
         }
     }
@@ -231,15 +231,24 @@ fn run() -> Result<(), Failure> {
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Completions { shell } => {
             let mut text = Vec::new();
-            clap_complete::generate(shell, &mut CommandLine::command(), "host-sim", &mut text);
+            clap_complete::generate(shell, &mut program(), "host-sim", &mut text);
             show!("{}", String::from_utf8_lossy(&text).trim_end())
         }
     }
 }
 
+/// The program, whose options take negative numbers: their own refusal tells more than that of an unknown option `-5`.
+fn program() -> clap::Command {
+    let with_signs = |command: clap::Command| command.allow_negative_numbers(true);
+    let commands = |command| with_signs(command).mut_subcommands(with_signs);
+    CommandLine::command().mut_subcommands(commands)
+}
+
 /// The command line; what is wrong with it as one line, without the usage that clap adds.
 fn parsed() -> Result<CommandLine, Failure> {
-    CommandLine::try_parse().map_err(|error| {
+    let matches = program().try_get_matches();
+    let parsed = matches.and_then(|matches| CommandLine::from_arg_matches(&matches));
+    parsed.map_err(|error| {
         if !error.use_stderr()
             || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
         {
@@ -266,7 +275,7 @@ mod tests {
 
     #[test]
     fn the_command_line_has_no_contradictions() {
-        CommandLine::command().debug_assert();
+        program().debug_assert();
     }
 
     /// README.md and the pages of docs/.

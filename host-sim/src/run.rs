@@ -30,7 +30,6 @@ const WATCH_TICKS: u16 = 10;
 
 /// Close the loop around a board: the simulated arm under PD control and the board's feed-forward
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     #[command(flatten)]
     robot: RobotOptions,
@@ -72,7 +71,6 @@ pub(super) struct Arguments {
     out: PathBuf,
 }
 
-/// Files that a run writes.
 const RESULTS: [&str; 7] = [
     "log.csv",
     "log.mcap",
@@ -97,18 +95,11 @@ fn tracking(text: &str) -> Result<f32, String> {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let robot = &arguments.robot.load()?;
-    let read = arguments
-        .robot
-        .files()
-        .into_iter()
-        .chain(arguments.motion.files());
-    let read = read
-        .chain(arguments.bank.clone())
-        .chain(arguments.key_file.clone());
-    not_over(
-        read,
-        within(&arguments.out, &RESULTS).chain(arguments.log.clone()),
-    )?;
+    let options = [&arguments.bank, &arguments.key_file].into_iter().flatten();
+    let mut read = arguments.robot.files();
+    read.extend(arguments.motion.files().chain(options.cloned()));
+    let out = within(&arguments.out, &RESULTS).chain(arguments.log.clone());
+    not_over(read, out)?;
     if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
         bail!("--log: board {} has none, only qemu-usart", arguments.board);
     }
@@ -247,7 +238,6 @@ fn close_loop<const N: usize>(
     Ok(())
 }
 
-/// Everything that a run writes down.
 struct Log<const N: usize> {
     motion: MotionLog<N>,
     seen: ClosedLoopLog<N>,

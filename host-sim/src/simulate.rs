@@ -2,7 +2,7 @@ use super::arm::{RobotOptions, with_rotors};
 use super::disturbances::{DisturbanceArguments, FaultArguments};
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, keep_stdout_for, show};
-use super::{Failure, bail, duration, not_negative, not_over, positive, unsupported};
+use super::{Failure, at_most, bail, duration, not_negative, not_over, unsupported};
 use clap::Args;
 use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig};
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
@@ -15,7 +15,6 @@ use std::path::PathBuf;
 
 /// Let the simulated arm play a trajectory under PD control, and log its sensors
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     #[command(flatten)]
     robot: RobotOptions,
@@ -69,9 +68,7 @@ pub(super) const PERIOD_S: f64 = 1e-3;
 const MOST_BANDWIDTH_HZ: f64 = 100.0;
 
 fn bandwidth(text: &str) -> Result<f64, String> {
-    let limit = format!("must be at most {MOST_BANDWIDTH_HZ}");
-    let hz = positive(text)?;
-    (hz <= MOST_BANDWIDTH_HZ).then_some(hz).ok_or(limit)
+    at_most(text, MOST_BANDWIDTH_HZ)
 }
 
 /// Argument for runs in trouble.
@@ -110,7 +107,6 @@ pub(super) struct Scene<const N: usize> {
 }
 
 impl MotionArguments {
-    /// Files that are read.
     pub(super) fn files(&self) -> impl Iterator<Item = PathBuf> {
         [PathBuf::from(&self.trajectory)]
             .into_iter()
@@ -159,13 +155,11 @@ impl MotionArguments {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     keep_stdout_for(&arguments.out);
     let robot = arguments.robot.load_coupled()?;
-    let read = arguments.robot.files().into_iter();
+    let mut read = arguments.robot.files();
+    read.extend(arguments.motion.files());
     let out = &arguments.out;
     let beside = arguments.mcap.then(|| out.with_extension("mcap"));
-    not_over(
-        read.chain(arguments.motion.files()),
-        beside.into_iter().chain([out.clone()]),
-    )?;
+    not_over(read, beside.into_iter().chain([out.clone()]))?;
     joints!(robot.joint_count(), N => simulate::<N>(arguments, &robot), else Err(unsupported(robot.joint_count())))
 }
 

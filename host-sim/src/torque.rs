@@ -15,7 +15,6 @@ use std::path::PathBuf;
 
 /// Feed-forward torque of every row of a table of states, computed by the firmware
 #[derive(Debug, Args)]
-#[command(allow_negative_numbers = true)]
 pub(super) struct Arguments {
     #[command(flatten)]
     robot: RobotOptions,
@@ -50,11 +49,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let robot = &arguments.robot.load_coupled()?;
     let files = [&arguments.input, &arguments.bank, &arguments.key_file];
     let trajectory = arguments.trajectory.as_ref().map(PathBuf::from);
-    let files = files.into_iter().cloned().chain([trajectory]).flatten();
-    not_over(
-        arguments.robot.files().into_iter().chain(files),
-        [arguments.out.clone()],
-    )?;
+    let mut read = arguments.robot.files();
+    read.extend(files.into_iter().cloned().chain([trajectory]).flatten());
+    not_over(read, [arguments.out.clone()])?;
     if robot.coupling.is_some() {
         return joints!(robot.joint_count(), N => coupled::<N>(arguments, robot), else Err(unsupported(robot.joint_count())));
     }
