@@ -1,5 +1,6 @@
 //! Delay of the torques behind the positions.
 
+use super::explained::ROUNDING;
 use super::{ANALYTIC, DELAY_S, FAST_RAD_S, Judgement};
 use crate::dynamics::Motion;
 use crate::identification::columns::Layout;
@@ -113,7 +114,8 @@ impl Delay {
     }
 }
 
-/// Squares that the best parameters leave at every delay, and the number of averages beyond that of the columns.
+/// Squares that the best parameters leave at every delay, at least those of rounding, and the number of averages beyond that of
+/// the columns.
 fn rests((count, products): &Sums) -> Option<(DVector<f64>, f64)> {
     let columns = products.nrows() - DELAYS;
     let gram = products.view((0, 0), (columns, columns)).into_owned();
@@ -121,8 +123,10 @@ fn rests((count, products): &Sums) -> Option<(DVector<f64>, f64)> {
     let inverse = unit.pseudo_inverse(1e-8).ok()?;
     let rests = DVector::from_fn(DELAYS, |delay, _| {
         let own = products.column(columns + delay);
-        let moment = own.rows(0, columns).component_mul(&size);
-        own[columns + delay] - moment.dot(&(&inverse * &moment))
+        let (moment, power) = (own.rows(0, columns), own[columns + delay]);
+        let moment = moment.component_mul(&size);
+        let left = power - moment.dot(&(&inverse * &moment));
+        left.max(ROUNDING * power)
     });
     let used = size.iter().filter(|size| **size > 0.0).count();
     let free = count - used as f64;

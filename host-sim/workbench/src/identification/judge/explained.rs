@@ -11,7 +11,7 @@ pub(super) const SIGN_EVIDENCE: f64 = 1.0;
 /// Columns of a joint alone.
 pub(super) const COLUMNS: usize = 5;
 /// Share of the square of an exact torque that rounding leaves: no evidence.
-const ROUNDING: f64 = 1e-9;
+pub(super) const ROUNDING: f64 = 1e-9;
 /// Rounds of the fit within bounds.
 const ROUNDS: usize = 300;
 
