@@ -334,7 +334,7 @@ good | 2000 | the scale of the torques is unchecked:";
     // A bus slower than the log, every fourth row of which is the one before.
     let learnt = |change: fn(&mut Vec<Row>)| {
         here.write("slow.csv", planted(&good, change));
-        here.succeeds("replay --robot ur5 --log slow.csv --out replayed --force");
+        here.succeeds("replay --robot ur5 --log slow.csv --out replayed");
         let report = here.json("replayed/report.json");
         report["rows_accepted_count"].as_u64().expect("a count")
     };

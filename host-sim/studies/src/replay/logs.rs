@@ -67,7 +67,7 @@ pub(super) struct Logs<const N: usize> {
     pub(super) stretches: Vec<Stretch<N>>,
     /// Time between two rows, s: that of the first log.
     pub(super) period_s: f64,
-    /// Least length of the board's motion filter, s, for the noise of the positions.
+    /// Least length of the board's motion filter, s.
     pub(super) filter_s: f64,
     /// Columns of the reference; none if it is the description.
     pub(super) columns: Option<&'static str>,

@@ -12,7 +12,7 @@ use foretorque::arm::Arm;
 use foretorque::arm::ur5::{self, PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, FeedForwardState, ParameterSet};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig, MAX_BRIDGED, StartDeviations, TAPS};
+use foretorque::learning::{Exchange, Learner, LearnerConfig, StartDeviations, TAPS};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::robot::Robot;
@@ -22,8 +22,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 /// Longest tick, s. A row is played in as many ticks as keep below it, on a straight line from the row before. The board's
-/// filter is 31 ticks long: a quarter of a second at the 8 ms of a UR's log, which hides the accelerations of fast paths;
-/// 62 ms in four ticks a row.
+/// filter is 31 samples long: a quarter of a second at the 8 ms of a UR's log, which hides the accelerations of fast paths.
 const TICK_S: f64 = 2e-3;
 /// Age of the parameters that are scored beside the newest, s.
 const AGE_S: f64 = 10.0;
@@ -145,7 +144,6 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let loaded = FeedForwardState::new(start.set);
     let mut predicted = Predictions::default();
     let mut before: Option<JointMeasurement<N>> = None;
-    let mut copies = 0;
     // What follows does not join on to what came before.
     board.tick(None);
     for row in &stretch.rows {
@@ -160,15 +158,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         history.push_back(*newest);
         let aged = torques(history.front().unwrap_or(&loaded));
         predicted.aged.extend(aged.iter());
-        // Of a bus slower than the log: no measurement. At rest all rows are copies.
-        if before == Some(row.measured) && usize::from(copies) < MAX_BRIDGED {
-            copies += 1;
-            continue;
-        }
-        let from = before.unwrap_or(row.measured);
-        let ticks = start.ticks() * (1 + core::mem::take(&mut copies));
-        for k in 1..=ticks {
-            let share = f32::from(k) / f32::from(ticks);
+        let from = before.replace(row.measured).unwrap_or(row.measured);
+        for k in 1..=start.ticks() {
+            let share = f32::from(k) / f32::from(start.ticks());
             board.tick(Some(&JointSample {
                 desired,
                 measured: Some(JointMeasurement {
@@ -177,7 +169,6 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
                 }),
             }));
         }
-        before = Some(row.measured);
     }
     let Predictions {
         newest,

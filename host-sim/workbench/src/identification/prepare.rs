@@ -2,7 +2,7 @@
 
 use super::clock::GAP_PERIODS;
 use super::columns::Layout;
-use super::filter::{Butterworth, derivative, despiked};
+use super::filter::{Butterworth, derivative, despiked, median};
 use super::log::LogRow;
 use super::normal::SpeedSums;
 use super::whole_log::WholeLog;
@@ -67,8 +67,8 @@ fn fit_of_noise_s(noise: f64, most: f64, period_s: f64) -> f64 {
     (720.0 * noise * noise * period_s / (most * most)).powf(0.2)
 }
 
-/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions errs no acceleration by more
-/// than 5 % of its limit.
+/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions errs the acceleration of the
+/// median joint by 5 % of its limit at most.
 ///
 /// Errors: the log's.
 pub fn motion_filter_s(path: &Path, robot: &Robot) -> Result<f64, IdentifyError> {
@@ -77,7 +77,7 @@ pub fn motion_filter_s(path: &Path, robot: &Robot) -> Result<f64, IdentifyError>
     let lengths = joints.map(|(joint, noise)| {
         fit_of_noise_s(*noise, NOISE * joint.limits.acceleration, log.period_s())
     });
-    Ok(lengths.fold(0.0, f64::max))
+    Ok(median(&mut lengths.collect::<Vec<f64>>()))
 }
 
 impl PrepareConfig {

@@ -125,6 +125,12 @@ fn cut_into_stretches(
             log.lost
         ));
     }
+    if log.repeated > 0 {
+        notes.push(format!(
+            "{name}: {} rows repeat the one before and were put on the way to the next one",
+            log.repeated
+        ));
+    }
     Ok(notes)
 }
 

@@ -5,6 +5,7 @@ use super::log::{LogReader, LogRow};
 use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use crate::table::TableError;
+use foretorque::learning::MAX_BRIDGED;
 use std::collections::VecDeque;
 use std::path::Path;
 
@@ -30,6 +31,7 @@ pub(super) fn too_short(path: &Path, rows: usize) -> TableError {
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
 /// Rows with an uneven clock are put on an even grid in the same way, and rows that repeat their positions are left out.
+/// Up to four rows that repeat positions and torques now and then were not measured: they are put on the way to the next one.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
@@ -51,6 +53,11 @@ pub struct WholeLog {
     waiting: VecDeque<LogRow>,
     /// Rows put in so far.
     pub(super) lost: usize,
+    /// The last row that does not repeat the one before, and those that repeat it.
+    measured: Option<LogRow>,
+    copies: Vec<LogRow>,
+    /// Rows of a moving arm that repeat the one before, so far.
+    pub(super) repeated: usize,
     /// Remarks on columns and clock.
     pub(super) notes: Vec<String>,
 }
@@ -105,6 +112,9 @@ impl WholeLog {
             ahead: [None; 2],
             waiting: VecDeque::new(),
             lost: 0,
+            measured: None,
+            copies: Vec::new(),
+            repeated: 0,
         };
         if clock == Clock::Stamps {
             log.notes.push(format!(
@@ -117,7 +127,7 @@ impl WholeLog {
         }
         let resolution = resolution(moving);
         for row in first {
-            log.read(Some(row));
+            log.place_copies(Some(row));
         }
         log.preview = log.waiting.iter().copied().collect();
         log.noise = noise(&log.preview[last(&log.preview)], &resolution);
@@ -136,7 +146,7 @@ impl WholeLog {
         while self.waiting.is_empty() {
             let row = self.reader.next_row()?;
             if row.as_ref().is_none_or(|row| self.held.is_new(row)) {
-                self.read(row);
+                self.place_copies(row);
             }
             if row.is_none() {
                 break;
@@ -153,6 +163,30 @@ impl WholeLog {
         } else {
             periods.round().max(1.0)
         }
+    }
+
+    /// Passes rows on; those that repeat the one before wait for the next one, to be put on the way to it.
+    fn place_copies(&mut self, row: Option<LogRow>) {
+        if let Some((last, row)) = self.measured.as_ref().zip(row.as_ref())
+            && (last.q, last.tau) == (row.q, row.tau)
+            && self.copies.len() < MAX_BRIDGED
+        {
+            self.copies.push(*row);
+            return;
+        }
+        let copies = std::mem::take(&mut self.copies);
+        let steps = (copies.len() + 1) as f64;
+        for (k, copy) in (1..).zip(&copies) {
+            let mut placed = *copy;
+            if let Some((last, next)) = self.measured.as_ref().zip(row.as_ref()) {
+                placed = between(last, next, f64::from(k) / steps, self.reader.has_velocity());
+                (placed.line, placed.t_s) = (copy.line, copy.t_s);
+                self.repeated += usize::from(last.q != next.q);
+            }
+            self.read(Some(placed));
+        }
+        self.measured = row;
+        self.read(row);
     }
 
     /// Queues what follows from the row read last, `None` at the end of the log.
