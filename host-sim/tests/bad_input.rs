@@ -71,7 +71,7 @@ fn bad_input_is_told_in_one_line_and_leaves_nothing() {
         ("seven.csv", table(|rows| rows[0].push("q7_rad".to_owned()))),
         ("far.csv", table(set(2, 2, "-6.4"))),
         ("huge.csv", table(set(2, 9, "1e30"))),
-        ("fast.csv", table(set(2, 9, "3.3"))),
+        ("fast.csv", table(set(2, 9, "-3.3"))),
         ("jump.csv", table(set(2, 1, "0.5"))),
         ("speed.csv", table(set(2, 9, "1"))),
         ("hard.csv", table(set(3, 18, "10.5"))),
