@@ -269,7 +269,7 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
 --log copy.csv | --log copy.csv is a copy of --log good.csv
 --still-rad-s 50 | no joint moves
 --filter fourier --period-s 5 | do not repeat every 5 s
---filter fourier --period-s 1e9 | must be at most 1000
+--filter fourier --period-s 1e9 | must be positive and at most 1000
 --filter fourier --excitation long.json | long.json: excitation: period of 1000000000 s, not above 0
 --methods bp_black_box | bp_black_box has no bank
 --columns-from geared.toml | geared.toml: gear_ratios: NaN is no ratio

@@ -70,7 +70,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
         feedforward.set_learning(true);
         let mut config = LearnerConfig::for_arm::<A>(period_s);
         let samples = start.filter_s as f32 / (TAPS as f32 * period_s);
-        config.decimation = config.decimation.max(samples.ceil() as u32).min(N as u32);
+        config.decimation = (samples.round() as u32).clamp(config.decimation, N as u32);
         let mut learner = Learner::EMPTY;
         learner.restart_with(config, &set, &start.deviations)?;
         Ok(Self {

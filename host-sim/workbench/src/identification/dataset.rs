@@ -1,56 +1,30 @@
 //! The dataset of the training logs: sums over all rows, and a bounded sample of them.
 
 use super::columns::Layout;
-use super::normal::{NormalEquations, SpeedSums};
+use super::normal::{NormalEquations, SampleRow, SpeedSums};
 use super::prepare::{Preparation, Prepared};
-use crate::dynamics::{Motion, PerJoint};
-use nalgebra::DVector;
+use crate::dynamics::PerJoint;
 use std::borrow::Borrow;
 
-/// One row of the bounded sample.
-#[derive(Clone, Debug)]
-pub struct SampleRow {
-    /// Time in its log, s.
-    pub t_s: f64,
-    /// Motion.
-    pub state: Motion,
-    /// Filtered torque, N·m.
-    pub tau: PerJoint<f64>,
-    /// Filtered torque without spikes, N·m.
-    pub clean: PerJoint<f64>,
-    /// Joints that move.
-    pub moving: PerJoint<bool>,
-    /// Active columns and cogging of all joints.
-    pub panel: Box<[f64]>,
-}
-
-impl SampleRow {
-    pub(super) fn of(
+impl Prepared {
+    /// Row of a sample.
+    pub(super) fn sample_row(
+        &self,
         layout: &Layout,
         preparation: &Preparation,
-        prepared: &Prepared,
         row: usize,
-    ) -> Self {
-        let state = prepared.states[row];
+    ) -> SampleRow {
+        let state = self.states[row];
         let joints = layout.joints();
         let values = |table: &[f64]| PerJoint::from(&table[row * joints..][..joints]);
-        Self {
-            t_s: prepared.t_s[row],
+        SampleRow {
+            t_s: self.t_s[row],
             state,
-            tau: values(&prepared.tau),
-            clean: values(&prepared.clean),
+            tau: values(&self.tau),
+            clean: values(&self.clean),
             moving: state.qd.map(|qd| qd.abs() > preparation.still_rad_s),
-            panel: prepared.panel[row * layout.width..][..layout.width].into(),
+            panel: self.panel[row * layout.width..][..layout.width].into(),
         }
-    }
-
-    pub(super) fn columns(&self, layout: &Layout, joint: usize) -> &[f64] {
-        layout.columns(joint, &self.panel)
-    }
-
-    /// Torque of the linear model at one joint, N·m.
-    pub(super) fn linear(&self, layout: &Layout, theta: &DVector<f64>, joint: usize) -> f64 {
-        layout.torque(joint, self.columns(layout, joint), theta)
     }
 }
 
@@ -178,7 +152,7 @@ impl Dataset {
         }
         let rows = prepared.core.clone().step_by(preparation.stride());
         let rows: Vec<SampleRow> = rows
-            .map(|row| SampleRow::of(layout, preparation, prepared, row))
+            .map(|row| prepared.sample_row(layout, preparation, row))
             .collect();
         self.sums.add(layout, &rows);
         rows.into_iter().for_each(|row| self.sample.push(row));
@@ -215,7 +189,7 @@ pub(super) fn random_rows(
     (0..count)
         .map(|row| {
             let [q, qd, qdd] = reach.map(&mut draw);
-            let state = Motion { q, qd, qdd };
+            let state = crate::dynamics::Motion { q, qd, qdd };
             let mut panel = Vec::new();
             layout.append_row(&state, 0.01 * row as f64, &mut scratch, &mut panel);
             let mut row = SampleRow {

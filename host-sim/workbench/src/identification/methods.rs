@@ -2,8 +2,8 @@
 
 use super::IdentifyError;
 use super::columns::{FrictionTerm, Layout};
-use super::dataset::SampleRow;
 use super::filter::median;
+use super::normal::SampleRow;
 use super::normal::{JointSums, NormalEquations, solve};
 use crate::Refusal;
 use crate::dynamics::PerJoint;

@@ -29,14 +29,13 @@ mod validation;
 mod whole_log;
 
 pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
-pub use dataset::SampleRow;
 pub use filter::despiked;
 pub use gains::with_gains;
 pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify, same_content};
 pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
 pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
-pub use normal::{CoggingAmplitudes, JointSums};
+pub use normal::{CoggingAmplitudes, JointSums, SampleRow};
 pub use page::page;
 pub use prepare::{Preparation, PrepareConfig, Prepared, motion_filter_s};
 pub use problem::{Candidate, MethodResult, Progress};

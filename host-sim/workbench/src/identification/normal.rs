@@ -6,8 +6,7 @@
 
 use super::IdentifyError;
 use super::columns::Layout;
-use super::dataset::SampleRow;
-use crate::dynamics::PerJoint;
+use crate::dynamics::{Motion, PerJoint};
 use crate::metrics::{condition_of, scaled};
 use crate::training::SpeedPoint;
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
@@ -17,6 +16,34 @@ use std::collections::BTreeMap;
 /// Least part of a column that the columns left of it do not explain, as a share of its length. Useful excitations leave
 /// 1e-2 and more, encoder noise on a joint that is held still about 1e-5.
 const INDEPENDENT: f64 = 1e-4;
+
+/// One row of the bounded sample.
+#[derive(Clone, Debug)]
+pub struct SampleRow {
+    /// Time in its log, s.
+    pub t_s: f64,
+    /// Motion.
+    pub state: Motion,
+    /// Filtered torque, N·m.
+    pub tau: PerJoint<f64>,
+    /// Filtered torque without spikes, N·m.
+    pub clean: PerJoint<f64>,
+    /// Joints that move.
+    pub moving: PerJoint<bool>,
+    /// Active columns and cogging of all joints.
+    pub panel: Box<[f64]>,
+}
+
+impl SampleRow {
+    pub(super) fn columns(&self, layout: &Layout, joint: usize) -> &[f64] {
+        layout.columns(joint, &self.panel)
+    }
+
+    /// Torque of the linear model at one joint, N·m.
+    pub(super) fn linear(&self, layout: &Layout, theta: &DVector<f64>, joint: usize) -> f64 {
+        layout.torque(joint, self.columns(layout, joint), theta)
+    }
+}
 
 /// Sums of one joint's equations.
 #[derive(Clone, Debug, PartialEq)]
@@ -352,7 +379,8 @@ impl SpeedSums {
 #[cfg(test)]
 mod tests {
     use crate::dynamics::RigidBodies;
-    use crate::identification::dataset::{SampleRow, random_rows};
+    use crate::identification::dataset::random_rows;
+    use crate::identification::normal::SampleRow;
     use crate::identification::{ColumnSet, Layout, MethodName, fit_rows};
     use crate::robot::Robot;
 

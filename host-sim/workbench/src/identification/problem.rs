@@ -1,8 +1,9 @@
 //! Nouns of an identification: problem, training data, candidate model, result of a method.
 
 use super::columns::Layout;
-use super::dataset::{Dataset, RowSums, SampleRow};
+use super::dataset::{Dataset, RowSums};
 use super::methods::{Fit, MethodName, huber};
+use super::normal::SampleRow;
 use super::normal::{CoggingAmplitudes, NormalEquations, SpeedSums};
 use super::record::MethodRecord;
 use crate::dynamics::{Motion, PerJoint};

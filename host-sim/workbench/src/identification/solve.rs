@@ -3,8 +3,8 @@
 use super::IdentifyError;
 use super::columns::Layout;
 use super::consistent::consistent;
-use super::dataset::SampleRow;
 use super::methods::{Fit, MethodName, evidence, irls, ols, wls};
+use super::normal::SampleRow;
 use super::normal::{CoggingAmplitudes, NormalEquations};
 use super::problem::{Candidate, MethodResult, Problem, Progress, TrainingData, thinned};
 use crate::dynamics::PerJoint;

@@ -5,8 +5,8 @@
 //! that of independent values [Conway 1963, batch means] is the factor by which each joint's rows count less.
 
 use super::columns::Layout;
-use super::dataset::SampleRow;
 use super::methods::{Fit, MethodName};
+use super::normal::SampleRow;
 use super::normal::{NormalEquations, solve};
 use super::problem::{MethodResult, TrainingData};
 use crate::dynamics::PerJoint;

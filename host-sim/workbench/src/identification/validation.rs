@@ -3,9 +3,10 @@
 
 use super::IdentifyError;
 use super::columns::Layout;
-use super::dataset::{SampleRow, Thinned};
+use super::dataset::Thinned;
 use super::methods::MethodName;
 use super::normal::NormalEquations;
+use super::normal::SampleRow;
 use super::prepare::{Preparation, Prepared};
 use super::problem::{Candidate, MethodResult, Problem, TrainingData};
 use super::record::{LearningPoint, SplitRecord, ValidationRecord};
@@ -121,7 +122,7 @@ impl FileScores {
         }
         let rows = prepared.core.clone().filter(|row| row % stride == 0);
         let rows: Vec<usize> = rows.collect();
-        let sampled = |row: &usize| SampleRow::of(layout, preparation, prepared, *row);
+        let sampled = |row: &usize| prepared.sample_row(layout, preparation, *row);
         let sampled: Vec<SampleRow> = rows.iter().map(sampled).collect();
         self.equations.add(&sampled, |row, joint| {
             (row.columns(layout, joint), row.tau[joint])

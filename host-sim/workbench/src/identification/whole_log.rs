@@ -6,6 +6,7 @@ use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use crate::table::TableError;
 use foretorque::learning::MAX_BRIDGED;
+use nalgebra::DVector;
 use std::collections::VecDeque;
 use std::path::Path;
 
@@ -31,7 +32,7 @@ pub(super) fn too_short(path: &Path, rows: usize) -> TableError {
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
 /// Rows with an uneven clock are put on an even grid in the same way, and rows that repeat their positions are left out.
-/// Up to four rows that repeat positions and torques now and then were not measured: they are put on the way to the next one.
+/// Up to four rows that repeat positions and torques of a moving arm were not measured: they are put on the way to the next one.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
@@ -53,8 +54,8 @@ pub struct WholeLog {
     waiting: VecDeque<LogRow>,
     /// Rows put in so far.
     pub(super) lost: usize,
-    /// The last row that does not repeat the one before, and those that repeat it.
-    measured: Option<LogRow>,
+    /// The last two rows that do not repeat the one before, and those that repeat the last one.
+    measured: [Option<LogRow>; 2],
     copies: Vec<LogRow>,
     /// Rows of a moving arm that repeat the one before, so far.
     pub(super) repeated: usize,
@@ -112,7 +113,7 @@ impl WholeLog {
             ahead: [None; 2],
             waiting: VecDeque::new(),
             lost: 0,
-            measured: None,
+            measured: [None; 2],
             copies: Vec::new(),
             repeated: 0,
         };
@@ -167,7 +168,7 @@ impl WholeLog {
 
     /// Passes rows on; those that repeat the one before wait for the next one, to be put on the way to it.
     fn place_copies(&mut self, row: Option<LogRow>) {
-        if let Some((last, row)) = self.measured.as_ref().zip(row.as_ref())
+        if let Some((last, row)) = self.measured[1].as_ref().zip(row.as_ref())
             && (last.q, last.tau) == (row.q, row.tau)
             && self.copies.len() < MAX_BRIDGED
         {
@@ -175,17 +176,26 @@ impl WholeLog {
             return;
         }
         let copies = std::mem::take(&mut self.copies);
-        let steps = (copies.len() + 1) as f64;
+        let skipped = copies.len() as f64;
+        let [before, last] = self.measured;
+        let ends = before.zip(last).zip(row).filter(|((before, last), row)| {
+            // Row by row on, the way to the next row has as many steps as rows; of a row that was written twice it has one.
+            let way = |a: &LogRow, b: &LogRow| DVector::from_fn(a.q.len(), |j, _| b.q[j] - a.q[j]);
+            let (step, on) = (way(before, last), way(last, row));
+            let steps = on.dot(&step) / step.norm_squared();
+            (steps - (skipped + 1.0)).abs() < 0.5 * skipped
+        });
         for (k, copy) in (1..).zip(&copies) {
             let mut placed = *copy;
-            if let Some((last, next)) = self.measured.as_ref().zip(row.as_ref()) {
-                placed = between(last, next, f64::from(k) / steps, self.reader.has_velocity());
+            if let Some(((_, last), next)) = &ends {
+                let part = f64::from(k) / (skipped + 1.0);
+                placed = between(last, next, part, self.reader.has_velocity());
                 (placed.line, placed.t_s) = (copy.line, copy.t_s);
-                self.repeated += usize::from(last.q != next.q);
+                self.repeated += 1;
             }
             self.read(Some(placed));
         }
-        self.measured = row;
+        self.measured = [last, row];
         self.read(row);
     }
 

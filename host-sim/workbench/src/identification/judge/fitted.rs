@@ -3,8 +3,8 @@
 use super::{ANALYTIC, CENTRE_M, DEVIATIONS, Finding, Judgement, ROWS, SOUND_SCALE};
 use crate::dynamics::RigidBodies;
 use crate::identification::columns::Layout;
-use crate::identification::dataset::SampleRow;
 use crate::identification::methods::Fit;
+use crate::identification::normal::SampleRow;
 use crate::identification::normal::solve;
 use crate::identification::problem::Candidate;
 use crate::identification::record::Report;
