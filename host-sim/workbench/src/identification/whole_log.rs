@@ -179,11 +179,14 @@ impl WholeLog {
         let skipped = copies.len() as f64;
         let [before, last] = self.measured;
         let ends = before.zip(last).zip(row).filter(|((before, last), row)| {
-            // Row by row on, the way to the next row has as many steps as rows; of a row that was written twice it has one.
-            let way = |a: &LogRow, b: &LogRow| DVector::from_fn(a.q.len(), |j, _| b.q[j] - a.q[j]);
-            let (step, on) = (way(before, last), way(last, row));
-            let steps = on.dot(&step) / step.norm_squared();
-            (steps - (skipped + 1.0)).abs() < 0.5 * skipped
+            // The way to the next row takes its time at the velocity of before, or that of one row: copies were written twice.
+            let velocity = |a: &LogRow, b: &LogRow| {
+                DVector::from_fn(a.q.len(), |j, _| (b.q[j] - a.q[j]) / (b.t_s - a.t_s))
+            };
+            let (known, shown) = (velocity(before, last), velocity(last, row));
+            let ratio = shown.dot(&known) / known.norm_squared();
+            let twice = 1.0 / (skipped + 1.0);
+            (ratio - 1.0).abs() < (ratio - twice).abs() && ratio < 2.0
         });
         for (k, copy) in (1..).zip(&copies) {
             let mut placed = *copy;
