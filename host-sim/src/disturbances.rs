@@ -59,8 +59,12 @@ pub(super) struct FaultArguments {
     late: f64,
 }
 
-/// Something, from one time to another, s.
-type During<T> = (T, Range<f64>);
+/// Something from one time to another, s.
+#[derive(Clone, Debug, PartialEq)]
+struct During<T> {
+    what: T,
+    time_s: Range<f64>,
+}
 
 /// A growth that leaves something of what grows.
 fn growth(text: &str) -> Result<f64, String> {
@@ -105,7 +109,8 @@ fn during<T>(
     if time_s.start < 0.0 || time_s.is_empty() {
         return Err("it must begin at 0 s or later, and end after that".to_owned());
     }
-    Ok((what(happens)?, time_s))
+    let what = what(happens)?;
+    Ok(During { what, time_s })
 }
 
 impl DisturbanceArguments {
@@ -130,21 +135,22 @@ impl DisturbanceArguments {
     /// Errors: a joint it has not; an event after its end.
     pub(super) fn events<const N: usize>(&self, duration_s: f64) -> Result<Events<N>, Failure> {
         let mut events = Events::default();
-        let payloads = self.payload.iter().map(|it| ("--payload", it.1.start));
-        let pushes = self.push.iter().map(|it| ("--push", it.1.start));
+        let payloads = self.payload.iter().map(|it| ("--payload", it.time_s.start));
+        let pushes = self.push.iter().map(|it| ("--push", it.time_s.start));
         if let Some((option, from_s)) = payloads.chain(pushes).find(|it| it.1 >= duration_s) {
             bail!("{option}: it begins at {from_s} s, the motion ends at {duration_s:.3} s");
         }
-        for (mass, time_s) in &self.payload {
-            let payload = Payload::cube(*mass, self.payload_com, time_s.start, time_s.end);
+        for During { what, time_s } in &self.payload {
+            let payload = Payload::cube(*what, self.payload_com, time_s.start, time_s.end);
             events.payloads.push(payload);
         }
-        for ((joint, torque_nm), time_s) in &self.push {
+        for During { what, time_s } in &self.push {
             let mut torque = Joints::<N>::zeros();
+            let (joint, torque_nm) = *what;
             let Some(place) = torque.get_mut(joint - 1) else {
                 bail!("--push: there is no joint {joint}, the last one is {N}");
             };
-            *place = *torque_nm;
+            *place = torque_nm;
             events.pushes.push(Push {
                 torque,
                 from_s: time_s.start,
@@ -183,9 +189,9 @@ mod tests {
     #[test]
     fn what_happens_is_read_as_it_is_written() {
         let payload = held("2.5@1..4.5").expect("a payload");
-        assert_eq!(payload, (2.5, 1.0..4.5));
+        assert_eq!((payload.what, payload.time_s), (2.5, 1.0..4.5));
         let push = pushed("2:-30@0.5..0.6").expect("a push");
-        assert_eq!(push, ((2, -30.0), 0.5..0.6));
+        assert_eq!((push.what, push.time_s), ((2, -30.0), 0.5..0.6));
         for bad in ["2.5", "2.5@1", "x@1..2", "2@2..1", "2@-1..2", "2@1..1"] {
             assert!(held(bad).is_err(), "{bad}");
         }

@@ -241,7 +241,7 @@ fn an_adapter_without_drives_ends_in_one_line() {
     let here = Directory::new("adapter-silent");
     let [drive, commission] = ["drive --trajectory validation", "commission"];
     let none = "joint 1: no drive answers at id 1 on bus 0; ids that answer: none";
-    let stuck = "has gone, torque off: Operation timed out";
+    let stuck = "has failed, torque off: Operation timed out";
     // One that takes every frame, and one that takes none once its buffer is full.
     for (command, kind, takes, expected) in [
         (drive, "slcan", true, SILENT),

@@ -63,14 +63,16 @@ pub(crate) fn run_bounded(of: &str, limit: u32) -> Result<()> {
     let reason = match output.status.code() {
         Some(0) => return Ok(()),
         Some(124) => "was ended",
-        _ => text
-            .lines()
-            .find(|line| line.starts_with("error"))
-            .unwrap_or("no reason given"),
+        _ => first_error(&text),
     };
     // rustup writes its whole chain of causes on that line.
     let reason: String = reason.chars().take(160).collect();
     bail!("`{}`: {reason}", line(&bounded))
+}
+
+fn first_error(text: &str) -> &str {
+    let error = text.lines().find(|line| line.starts_with("error"));
+    error.unwrap_or("no reason given")
 }
 
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
@@ -178,6 +180,13 @@ mod tests {
         let error = run_bounded("sleep 600", 1).unwrap_err();
         assert!(start.elapsed() < Duration::from_secs(60));
         assert!(error.to_string().contains("was ended"), "{error}");
+    }
+
+    #[test]
+    fn the_first_error_is_the_reason() {
+        let text = "noise\nerror: no route\nerror: later";
+        assert_eq!(first_error(text), "error: no route");
+        assert_eq!(first_error("noise"), "no reason given");
     }
 
     #[test]

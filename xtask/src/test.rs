@@ -23,11 +23,20 @@ struct Outcome {
     seconds: f64,
 }
 
-/// Tests that passed, and that failed.
-type Counts = (u32, u32);
+/// Numbers of tests.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Counts {
+    passed: u32,
+    failed: u32,
+}
 
-fn sum((passed, failed): Counts, more: Counts) -> Counts {
-    (passed + more.0, failed + more.1)
+impl Counts {
+    fn plus(self, more: Self) -> Self {
+        Self {
+            passed: self.passed + more.passed,
+            failed: self.failed + more.failed,
+        }
+    }
 }
 
 /// Sets up, passes every gate, and ends with a table of the gates and the counts of the tests.
@@ -63,7 +72,7 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     }
     let seconds = start.elapsed().as_secs_f64();
     println!("{:<16} {:<7} {seconds:>8.1}\n", "all", "");
-    let (passed, failed) = counts;
+    let Counts { passed, failed } = counts;
     println!("{passed} passed, {failed} failed");
     let failed = outcomes.iter().filter(|outcome| !outcome.passed);
     let failed: Vec<_> = failed.map(|outcome| outcome.name).collect();
@@ -178,7 +187,7 @@ fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
         let bytes = bytes?;
         let text = String::from_utf8_lossy(&bytes);
         println!("{text}");
-        seen = sum(seen, parse_result(&text).unwrap_or_default());
+        seen = seen.plus(parse_result(&text).unwrap_or_default());
     }
     Ok((seen, child.wait()?.success()))
 }
@@ -193,12 +202,16 @@ fn parse_result(line: &str) -> Option<Counts> {
         rest.split("; ")
             .find_map(|part| part.trim().strip_suffix(word)?.trim().parse().ok())
     };
-    Some((number("passed")?, number("failed")?))
+    Some(Counts {
+        passed: number("passed")?,
+        failed: number("failed")?,
+    })
 }
 
 /// A test program that crashed or did not compile prints no result line: it counts as one failure all the same.
-fn attribute((passed, failed): Counts, ended_well: bool) -> Counts {
-    (passed, failed.max(u32::from(!ended_well)))
+fn attribute(seen: Counts, ended_well: bool) -> Counts {
+    let failed = seen.failed.max(u32::from(!ended_well));
+    Counts { failed, ..seen }
 }
 
 #[cfg(test)]
@@ -216,13 +229,17 @@ test result: FAILED. 12 passed; 2 failed; 0 ignored; 0 measured; 0 filtered out;
 all doctests ran in 0.31s; merged doctests compilation took 0.20s
 test result: nonsense";
         let results = output.lines().filter_map(parse_result);
-        assert_eq!(results.fold(Counts::default(), sum), (15, 2));
+        let (passed, failed) = (15, 2);
+        let sum = results.fold(Counts::default(), Counts::plus);
+        assert_eq!(sum, Counts { passed, failed });
     }
 
     #[test]
     fn a_test_program_that_dies_without_a_result_line_is_a_failure() {
         for (failed, ended_well, expected) in [(0, false, 1), (0, true, 0), (2, false, 2)] {
-            assert_eq!(attribute((7, failed), ended_well), (7, expected));
+            let passed = 7;
+            let counts = attribute(Counts { passed, failed }, ended_well);
+            assert_eq!((counts.passed, counts.failed), (7, expected));
         }
     }
 }

@@ -176,8 +176,12 @@ uint32_t foretorque_arm_hash(void);
 // Every call takes a few kilobytes of stack.
 //
 // # Safety
-// `memory` points to `size` bytes that nothing else uses as long as the result is used; `out` may be written.
-ForetorqueStatus foretorque_init(void *memory, uintptr_t size, float period_s, struct Foretorque **out);
+// `memory` points to `size` bytes that nothing else uses as long as the result is used; `out` may be written, and is not in
+// `memory`.
+ForetorqueStatus foretorque_init(void *memory,
+                                 uintptr_t size,
+                                 float period_s,
+                                 struct Foretorque **out);
 
 // Takes over a parameter bank from its bytes, whole or not at all, from the next tick on. Only while learning is off.
 //
@@ -190,7 +194,7 @@ ForetorqueStatus foretorque_load_bank(struct Foretorque *it, const uint8_t *byte
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way; `buffer` points to `size` bytes; `length` may be
-// written.
+// written, and is not in `buffer`.
 ForetorqueStatus foretorque_save_bank(struct Foretorque *it,
                                       uint8_t *buffer,
                                       uintptr_t size,
@@ -231,8 +235,9 @@ ForetorqueStatus foretorque_decision(struct Foretorque *it,
 // this call or `foretorque_tick`.
 //
 // # Safety
-// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured
-// values only if `measured`; `out` may be written.
+// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or a whole struct that may be read,
+// its measured values initialised only if `measured`; `out` may be written. Neither is in the memory of `it`, and they do not
+// overlap.
 ForetorqueStatus foretorque_step(struct Foretorque *it,
                                  const struct ForetorqueSample *sample,
                                  struct ForetorqueTorque *out);

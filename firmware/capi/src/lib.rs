@@ -3,6 +3,8 @@
 //! The header is `include/foretorque.h`, generated from this file; `example/main.c` is a whole program. Nothing allocates,
 //! nothing blocks, nothing panics: linking the static library proves the last.
 //!
+//! The sections Safety are for the caller in C.
+//!
 //! Another arm is another `use` and another `FORETORQUE_JOINTS` below: see docs/board.md.
 #![cfg_attr(target_os = "none", no_std)]
 
@@ -167,7 +169,8 @@ pub extern "C" fn foretorque_arm_hash() -> u32 {
 /// Every call takes a few kilobytes of stack.
 ///
 /// # Safety
-/// `memory` points to `size` bytes that nothing else uses as long as the result is used; `out` may be written.
+/// `memory` points to `size` bytes that nothing else uses as long as the result is used; `out` may be written, and is not in
+/// `memory`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_init(
     memory: *mut core::ffi::c_void,
@@ -225,7 +228,7 @@ pub unsafe extern "C" fn foretorque_load_bank(
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `buffer` points to `size` bytes; `length` may be
-/// written.
+/// written, and is not in `buffer`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_save_bank(
     it: Option<&mut Foretorque>,
@@ -324,8 +327,9 @@ pub extern "C" fn foretorque_decision(
 /// this call or `foretorque_tick`.
 ///
 /// # Safety
-/// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or may be read, the measured
-/// values only if `measured`; `out` may be written.
+/// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or a whole struct that may be read,
+/// its measured values initialised only if `measured`; `out` may be written. Neither is in the memory of `it`, and they do not
+/// overlap.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn foretorque_step(
     it: Option<&mut Foretorque>,

@@ -44,7 +44,7 @@ impl<Pin: OutputPin> TorqueEnable<Pin> {
         Ok(Self { pin, on: false })
     }
 
-    /// Lets torque through. Errors: those of the pin; torque then counts as off.
+    /// Lets torque through. Errors: those of the pin; torque then counts as before.
     pub fn on(&mut self) -> Result<(), Pin::Error> {
         self.pin.set_high()?;
         self.on = true;
@@ -243,6 +243,8 @@ pub(crate) mod tests {
     #[derive(Default)]
     pub(crate) struct Bench {
         pub(crate) enabled: bool,
+        /// Times the enable was switched on.
+        pub(crate) times_on: u32,
         pub(crate) enable_fails: bool,
         pub(crate) fault: bool,
         pub(crate) fault_fails: bool,
@@ -274,6 +276,7 @@ pub(crate) mod tests {
                 return Err(ErrorKind::Other);
             }
             bench.enabled = state == PinState::High;
+            bench.times_on += u32::from(bench.enabled);
             Ok(())
         }
     }
@@ -396,6 +399,7 @@ pub(crate) mod tests {
                 assert_eq!(stage.enable(), Err(error));
                 assert!(!stage.is_enabled() && !bench.borrow().enabled);
             }
+            assert_eq!(bench.borrow().times_on, 1, "not for a moment: {error}");
         }
     }
 

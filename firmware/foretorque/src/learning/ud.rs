@@ -396,7 +396,7 @@ mod tests {
         }
     }
 
-    /// The factors of P⁻¹ = I + Σ φφᵀ/R in f64 are exact.
+    /// Reference: the factor U of the covariance (I + Σ φφᵀ/R)⁻¹, in f64.
     #[test]
     fn a_million_rows_do_not_degrade_the_correlations() {
         const P: usize = 12;

@@ -346,6 +346,7 @@ mod tests {
             };
             let gradient: Vec<f64> = (0..change.len()).map(difference).collect();
             let rate = -dot(&change, &gradient) / dot(&gradient, &gradient);
+            assert!(rate > 0.0, "seed {seed}: {rate}");
             let size = dot(&change, &change).sqrt();
             for (change, gradient) in change.iter().zip(&gradient) {
                 worst = worst.max((change + rate * gradient).abs() / size);

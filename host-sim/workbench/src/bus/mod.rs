@@ -64,8 +64,8 @@ pub enum BusError {
     /// The bus of this name cannot be opened.
     #[error("bus {0}: {1}")]
     Open(String, io::Error),
-    /// The bus of this name has gone.
-    #[error("bus {0} has gone, torque off: {1}")]
+    /// The bus of this name has failed.
+    #[error("bus {0} has failed, torque off: {1}")]
     Gone(String, io::Error),
     /// Nothing answers.
     #[error("bus {0} is silent, torque off: no drive of the profile answers")]

@@ -65,9 +65,14 @@ impl TextForm {
         Ok(format!("C\rS{code}\rY{data}\rO\r"))
     }
 
-    fn line(self, frame: &Frame) -> String {
+    /// Errors: a frame without data for an fdcanusb, which takes its flags for data.
+    fn line(self, frame: &Frame) -> io::Result<String> {
+        if self == Self::Fdcanusb && !frame.remote && frame.bytes().is_empty() {
+            let error = "an fdcanusb sends no frame without data, as the SYNC of CiA 402 is: use another adapter";
+            return Err(io::Error::new(io::ErrorKind::Unsupported, error));
+        }
         let hex = hex::encode_upper(frame.bytes());
-        match self {
+        Ok(match self {
             Self::Slcan => {
                 let kind = match (frame.fd, frame.remote) {
                     (true, _) => 'b',
@@ -89,13 +94,13 @@ impl TextForm {
                     (_, true) => "bfR",
                     _ => "bf",
                 };
-                // The adapter sends identifiers up to 7ff as standard ones otherwise, and refuses a frame without data.
+                // The adapter sends identifiers up to 7ff as standard ones otherwise.
                 let short = frame.extended && frame.id <= Frame::STANDARD_MAX;
                 let command = if short { "ext" } else { "send" };
                 let data = if frame.remote { "00" } else { &hex };
                 format!("can {command} {:x} {data} {flags}\n", frame.id)
             }
-        }
+        })
     }
 
     /// Frame of a line; `None` for any other line.
@@ -181,7 +186,7 @@ impl Line for TextLine {
     }
 
     fn send(&mut self, frame: &Frame) -> io::Result<()> {
-        self.port.write_all(self.form.line(frame).as_bytes())
+        self.port.write_all(self.form.line(frame)?.as_bytes())
     }
 
     fn receive(&mut self) -> io::Result<Option<Frame>> {
@@ -230,18 +235,20 @@ mod tests {
             (Frame::remote(0x49), "r0490\r"),
             (moteus, "B00008001301000A\r"),
         ] {
-            assert_eq!(TextForm::Slcan.line(&frame), line);
+            assert_eq!(TextForm::Slcan.line(&frame).expect("it is short"), line);
             assert_eq!(TextForm::Slcan.frame(line.trim_end()), Some(frame));
         }
-        assert_eq!(
-            TextForm::Fdcanusb.line(&moteus),
-            "can send 8001 01000A BF\n"
-        );
-        assert_eq!(TextForm::Fdcanusb.line(&one), "can send 1 02 bf\n");
-        let asked = TextForm::Fdcanusb.line(&Frame::remote(0x49));
-        assert_eq!(asked, "can send 49 00 bfR\n");
-        let short = TextForm::Fdcanusb.line(&Frame::extended(0x7f, &[3]));
-        assert_eq!(short, "can ext 7f 03 bf\n");
+        for (frame, line) in [
+            (moteus, "can send 8001 01000A BF\n"),
+            (one, "can send 1 02 bf\n"),
+            (Frame::remote(0x49), "can send 49 00 bfR\n"),
+            (Frame::extended(0x7f, &[3]), "can ext 7f 03 bf\n"),
+        ] {
+            let written = TextForm::Fdcanusb.line(&frame);
+            assert_eq!(written.expect("it has data"), line);
+        }
+        let refused = TextForm::Fdcanusb.line(&Frame::standard(0x80, &[]));
+        assert!(refused.is_err_and(|error| error.to_string().contains("without data")));
         let extended = Frame::extended(0x100, &[0x27, 0x01]).into_fd(0);
         for (line, frame) in [
             ("rcv 100 2701 E B F t123", extended),

@@ -267,15 +267,21 @@ pub(super) fn descend(
 struct Problem<'a> {
     objective: &'a Objective,
     weight: f64,
-    /// Variables, value and gradient of the last evaluation.
-    last: RefCell<(Vec<f64>, f64, Vec<f64>)>,
+    last: RefCell<Evaluation>,
     best: RefCell<(f64, Vec<f64>)>,
 }
 
+#[derive(Clone, Default)]
+struct Evaluation {
+    variables: Vec<f64>,
+    value: f64,
+    gradient: Vec<f64>,
+}
+
 impl Problem<'_> {
-    fn evaluated(&self, variables: &[f64]) -> (f64, Vec<f64>) {
+    fn evaluated(&self, variables: &[f64]) -> Evaluation {
         let mut last = self.last.borrow_mut();
-        if last.0 != variables {
+        if last.variables != variables {
             let mut gradient = vec![0.0; variables.len()];
             let value = self
                 .objective
@@ -284,9 +290,13 @@ impl Problem<'_> {
             if value < best.0 {
                 *best = (value, variables.to_vec());
             }
-            *last = (variables.to_vec(), value, gradient);
+            *last = Evaluation {
+                variables: variables.to_vec(),
+                value,
+                gradient,
+            };
         }
-        (last.1, last.2.clone())
+        last.clone()
     }
 }
 
@@ -295,7 +305,7 @@ impl CostFunction for &Problem<'_> {
     type Output = f64;
 
     fn cost(&self, variables: &Vec<f64>) -> Result<f64, Error> {
-        Ok(self.evaluated(variables).0)
+        Ok(self.evaluated(variables).value)
     }
 }
 
@@ -304,6 +314,6 @@ impl Gradient for &Problem<'_> {
     type Gradient = Vec<f64>;
 
     fn gradient(&self, variables: &Vec<f64>) -> Result<Vec<f64>, Error> {
-        Ok(self.evaluated(variables).1)
+        Ok(self.evaluated(variables).gradient)
     }
 }

@@ -216,7 +216,7 @@ impl<'a> Search<'a> {
             let weight = FINAL_WEIGHTS[1] * 4.0_f64.powi(repair as i32);
             let objective = objective.get_or_insert_with(|| self.objective.clone());
             tighten(&mut objective.torque, certificate);
-            // More distance than is required, too.
+            // Each repair requires 1 mm more distance than the one before.
             let required_m = self.objective.required_m.iter();
             objective.required_m = required_m.map(|m| m + 0.001 * repair as f64).collect();
             variables = descend(objective, weight, variables, self.config.iterations);

@@ -24,16 +24,23 @@ pub enum FrictionTerm {
 use FrictionTerm::*;
 
 impl FrictionTerm {
-    /// Symbol as in a parameter bank, unit of the parameter, and column set.
-    fn properties(self) -> (&'static str, &'static str, &'static str) {
+    /// Symbol as in a parameter bank, and unit of the parameter.
+    fn symbol_and_unit(self) -> (&'static str, &'static str) {
         match self {
-            Board(column) => {
-                let own = column.properties();
-                (own.symbol, own.unit, own.set)
-            }
-            Root => ("Fr", "N·m·(s/rad)^0.5", "sqrt"),
-            Cubic => ("F3", "N·m·(s/rad)^3", "cubic"),
-            WarmUp => ("Fvt", "N·m/rad", "warm-up"),
+            Board(column) => (column.properties().symbol, column.properties().unit),
+            Root => ("Fr", "N·m·(s/rad)^0.5"),
+            Cubic => ("F3", "N·m·(s/rad)^3"),
+            WarmUp => ("Fvt", "N·m/rad"),
+        }
+    }
+
+    /// Name of its column set.
+    fn set(self) -> &'static str {
+        match self {
+            Board(column) => column.properties().set,
+            Root => "sqrt",
+            Cubic => "cubic",
+            WarmUp => "warm-up",
         }
     }
 
@@ -41,9 +48,8 @@ impl FrictionTerm {
     pub(super) fn of_sets(wanted: impl Fn(&str) -> bool) -> Vec<Self> {
         let mut terms = FrictionColumn::ALL.map(Board).to_vec();
         terms.extend([Root, Cubic, WarmUp]);
-        let set = |term: &Self| term.properties().2;
-        terms.retain(|term| wanted(set(term)));
-        terms.sort_by_key(|term| ORDER.iter().position(|name| *name == set(term)));
+        terms.retain(|term| wanted(term.set()));
+        terms.sort_by_key(|term| ORDER.iter().position(|name| *name == term.set()));
         terms
     }
 
@@ -121,7 +127,7 @@ impl ColumnSet {
     }
 
     fn words(&self) -> Vec<&'static str> {
-        let is_there = |set: &&str| self.0.iter().any(|term| term.properties().2 == *set);
+        let is_there = |set: &&str| self.0.iter().any(|term| term.set() == *set);
         ORDER.into_iter().filter(is_there).collect()
     }
 }
@@ -235,7 +241,7 @@ impl Layout {
                 _ => true,
             });
             for &term in &shown {
-                let (symbol, unit, _) = term.properties();
+                let (symbol, unit) = term.symbol_and_unit();
                 active.push(parameters.len());
                 parameters.push(Parameter {
                     name: format!("{symbol}{}", joint + 1),
@@ -381,6 +387,13 @@ impl Layout {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_column_set_has_a_place() {
+        for term in FrictionTerm::of_sets(|_| true) {
+            assert!(ORDER.contains(&term.set()), "{term:?}");
+        }
+    }
 
     #[test]
     fn cogging_of_drives_without_cycles_has_no_columns() {

@@ -353,8 +353,9 @@ fn bags_are_read_as_another_reader_reads_them() {
     }
     let ur10 = data.join("ur10.toml").display().to_string();
     same(&ur10, data.join("ur10.db3"), data.join("ur10.csv.gz"), 3441);
+    // 14 of its 727 rows repeat the one before.
     for log in ["panda.db3", "panda.mcap"] {
-        same("panda", data.join(log), data.join("panda.csv.gz"), 727);
+        same("panda", data.join(log), data.join("panda.csv.gz"), 713);
     }
     // A file that was cut reads up to its last whole chunk, and a cut database is refused.
     let here = tempfile::tempdir().expect("creates");
@@ -363,7 +364,7 @@ fn bags_are_read_as_another_reader_reads_them() {
     fs::write(&cut, &whole[..whole.len() / 2]).expect("writes");
     let panda = Robot::load("panda").expect("built in");
     match read(&cut, &panda) {
-        Ok((rows, _)) => assert!(rows.len() < 727),
+        Ok((rows, _)) => assert!(rows.len() < 713),
         // The whole file is one chunk.
         Err(refused) => assert!(refused.contains("cut.mcap"), "{refused}"),
     }
@@ -380,7 +381,7 @@ fn bags_are_read_as_another_reader_reads_them() {
         bag.execute(update, (id, data)).expect("writes");
     }
     let (rows, _) = read(&unstamped, &panda).expect("a bag");
-    assert_eq!(rows.len(), 727);
+    assert_eq!(rows.len(), 713);
     assert!((0.0..0.1).contains(&(rows[1].t_s - rows[0].t_s)));
     let bag = fs::read(data.join("panda.db3")).expect("reads");
     let cut = here.path().join("cut.db3");

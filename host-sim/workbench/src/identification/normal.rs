@@ -97,7 +97,7 @@ pub(super) struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// Sums over no equations, with so many columns behind the active ones of each joint.
+    /// Sums over no equations, with `more` columns after the active ones of each joint.
     pub(super) fn new(layout: &Layout, more: usize) -> Self {
         let joints = layout.active.iter();
         let joints = joints.map(|active| JointSums::new(active.len() + more));

@@ -62,13 +62,14 @@ fn cut_off_of_noise(noise: f64, most: f64, period_s: f64) -> f64 {
     power.powf(0.2)
 }
 
-/// Length of a quadratic fit, s, of which the same is true. A fit over time T has the variance `720 noise² period / T⁵`.
+/// Length of a quadratic fit, s, whose acceleration has an error of `most` from this noise. A fit over time T has the variance
+/// `720 noise² period / T⁵`.
 fn fit_of_noise_s(noise: f64, most: f64, period_s: f64) -> f64 {
     (720.0 * noise * noise * period_s / (most * most)).powf(0.2)
 }
 
-/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions errs the acceleration of the
-/// median joint by 5 % of its limit at most.
+/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions gives the median joint an acceleration
+/// error of 5 % of its limit at most.
 ///
 /// Errors: the log's.
 pub fn motion_filter_s(path: &Path, robot: &Robot) -> Result<f64, IdentifyError> {

@@ -125,10 +125,10 @@ fn cut_into_stretches(
             log.lost
         ));
     }
-    if log.repeated > 0 {
+    if log.left_out() > 0 {
         notes.push(format!(
-            "{name}: {} rows repeat the one before and were put on the way to the next one",
-            log.repeated
+            "{name}: {} rows repeat the one before and were left out",
+            log.left_out()
         ));
     }
     Ok(notes)

@@ -6,7 +6,6 @@ use crate::dynamics::PerJoint;
 use crate::robot::Robot;
 use crate::table::TableError;
 use foretorque::learning::MAX_BRIDGED;
-use nalgebra::DVector;
 use std::collections::VecDeque;
 use std::path::Path;
 
@@ -31,8 +30,8 @@ pub(super) fn too_short(path: &Path, rows: usize) -> TableError {
 
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
-/// Rows with an uneven clock are put on an even grid in the same way, and rows that repeat their positions are left out.
-/// Up to four rows that repeat positions and torques of a moving arm were not measured: they are put on the way to the next one.
+/// Rows with an uneven clock are put on an even grid in the same way. Rows that repeat the one before are left out before its
+/// clock is found: those of a slower sensor, and others of a moving arm.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
@@ -54,11 +53,6 @@ pub struct WholeLog {
     waiting: VecDeque<LogRow>,
     /// Rows put in so far.
     pub(super) lost: usize,
-    /// The last two rows that do not repeat the one before, and those that repeat the last one.
-    measured: [Option<LogRow>; 2],
-    copies: Vec<LogRow>,
-    /// Rows of a moving arm that repeat the one before, so far.
-    pub(super) repeated: usize,
     /// Remarks on columns and clock.
     pub(super) notes: Vec<String>,
 }
@@ -87,7 +81,10 @@ impl WholeLog {
         // Rows of an arm at rest decide on nothing.
         let last = |rows: &[LogRow]| rows.len().saturating_sub(PREVIEW)..;
         let mut held = Held::of(&first[last(&first)]);
-        first.retain(|row| held.is_new(row));
+        let first: Vec<LogRow> = first
+            .into_iter()
+            .flat_map(|row| held.readings(row))
+            .collect();
         let moving = &first[last(&first)];
         let [shortest_s, _, longest_s] = step_times(moving);
         let (clock, period_s) = clock(moving);
@@ -113,9 +110,6 @@ impl WholeLog {
             ahead: [None; 2],
             waiting: VecDeque::new(),
             lost: 0,
-            measured: [None; 2],
-            copies: Vec::new(),
-            repeated: 0,
         };
         if clock == Clock::Stamps {
             log.notes.push(format!(
@@ -128,11 +122,16 @@ impl WholeLog {
         }
         let resolution = resolution(moving);
         for row in first {
-            log.place_copies(Some(row));
+            log.read(Some(row));
         }
         log.preview = log.waiting.iter().copied().collect();
         log.noise = noise(&log.preview[last(&log.preview)], &resolution);
         Ok(log)
+    }
+
+    /// Rows of a moving arm that repeated the one before and were left out so far.
+    pub(super) fn left_out(&self) -> usize {
+        self.held.left_out
     }
 
     /// Time between two rows, s.
@@ -145,12 +144,12 @@ impl WholeLog {
     /// Errors: [`TableError`] of that row, naming line and column.
     pub fn next_row(&mut self) -> Result<Option<LogRow>, TableError> {
         while self.waiting.is_empty() {
-            let row = self.reader.next_row()?;
-            if row.as_ref().is_none_or(|row| self.held.is_new(row)) {
-                self.place_copies(row);
-            }
-            if row.is_none() {
+            let Some(row) = self.reader.next_row()? else {
+                self.read(None);
                 break;
+            };
+            for row in self.held.readings(row) {
+                self.read(Some(row));
             }
         }
         Ok(self.waiting.pop_front())
@@ -164,42 +163,6 @@ impl WholeLog {
         } else {
             periods.round().max(1.0)
         }
-    }
-
-    /// Passes rows on; those that repeat the one before wait for the next one, to be put on the way to it.
-    fn place_copies(&mut self, row: Option<LogRow>) {
-        if let Some((last, row)) = self.measured[1].as_ref().zip(row.as_ref())
-            && (last.q, last.tau) == (row.q, row.tau)
-            && self.copies.len() < MAX_BRIDGED
-        {
-            self.copies.push(*row);
-            return;
-        }
-        let copies = std::mem::take(&mut self.copies);
-        let skipped = copies.len() as f64;
-        let [before, last] = self.measured;
-        let ends = before.zip(last).zip(row).filter(|((before, last), row)| {
-            // The way to the next row takes its time at the velocity of before, or that of one row: copies were written twice.
-            let velocity = |a: &LogRow, b: &LogRow| {
-                DVector::from_fn(a.q.len(), |j, _| (b.q[j] - a.q[j]) / (b.t_s - a.t_s))
-            };
-            let (known, shown) = (velocity(before, last), velocity(last, row));
-            let ratio = shown.dot(&known) / known.norm_squared();
-            let twice = 1.0 / (skipped + 1.0);
-            (ratio - 1.0).abs() < (ratio - twice).abs() && ratio < 2.0
-        });
-        for (k, copy) in (1..).zip(&copies) {
-            let mut placed = *copy;
-            if let Some(((_, last), next)) = &ends {
-                let part = f64::from(k) / (skipped + 1.0);
-                placed = between(last, next, part, self.reader.has_velocity());
-                (placed.line, placed.t_s) = (copy.line, copy.t_s);
-                self.repeated += 1;
-            }
-            self.read(Some(placed));
-        }
-        self.measured = [last, row];
-        self.read(row);
     }
 
     /// Queues what follows from the row read last, `None` at the end of the log.
@@ -325,9 +288,9 @@ fn resolution(rows: &[LogRow]) -> Vec<f64> {
     (0..joints).map(least).collect()
 }
 
-/// Noise of the positions, standard deviation, rad: that of rounding to their `resolution`, or what is seen of it, by drives that
-/// answer late, say. White noise gives its deviation times √70 to fourth differences, where motion hardly shows; nine of ten
-/// are below 1.645 deviations.
+/// Noise of the positions, standard deviation, rad: that of rounding to their `resolution`, or more where fourth differences
+/// show more, for example where drives answer late. White noise gives its deviation times √70 to fourth differences, where
+/// motion hardly shows; nine of ten are below 1.645 deviations.
 fn noise(rows: &[LogRow], resolution: &[f64]) -> Vec<f64> {
     let seen = |joint: usize| {
         let fourth = rows.windows(5).map(|rows| {
@@ -350,9 +313,13 @@ struct Held {
     times: usize,
     /// The torques of these rows repeat, too.
     torques: bool,
+    /// Most rows in turn that repeat a row of a moving arm, where each row should be a reading.
+    copies: usize,
     last: Option<LogRow>,
-    /// Rows since the last new one.
+    /// Rows that repeat the last one so far; those that are left out unless the arm rests; all that were.
     count: usize,
+    waiting: Vec<LogRow>,
+    left_out: usize,
 }
 
 impl Held {
@@ -370,8 +337,11 @@ impl Held {
         Self {
             times: times.unwrap_or(1),
             torques: positions.is_none(),
+            copies: if Self::are_held(rows) { MAX_BRIDGED } else { 0 },
             last: None,
             count: 0,
+            waiting: Vec::new(),
+            left_out: 0,
         }
     }
 
@@ -402,19 +372,29 @@ impl Held {
             changes += 1.0;
             wide += f64::from(apart.any(|steps| steps > 1.5));
         }
-        wide >= Self::ALIKE * changes
+        changes > 0.0 && wide >= Self::ALIKE * changes
     }
 
-    /// The row is a reading of its own. Values that stay for two readings are those of a resting arm.
-    fn is_new(&mut self, row: &LogRow) -> bool {
-        self.count += 1;
+    /// Rows that are readings of their own, now that `row` follows. Values that stay for two readings, or for more rows than a log
+    /// may lose, are those of a resting arm.
+    fn readings(&mut self, row: LogRow) -> Vec<LogRow> {
         let same = |last: &LogRow| last.q == row.q && (!self.torques || last.tau == row.tau);
-        let rests = self.times > 1 && self.count >= 2 * self.times;
-        let new = self.times == 1 || rests || !self.last.as_ref().is_some_and(same);
-        if new {
-            (self.last, self.count) = (Some(*row), 0);
+        if !self.last.as_ref().is_some_and(same) {
+            self.left_out += self.waiting.len();
+            self.waiting.clear();
+            (self.last, self.count) = (Some(row), 0);
+            return vec![row];
         }
-        new
+        self.count += 1;
+        if self.times > 1 {
+            let rests = self.count.is_multiple_of(2 * self.times);
+            return if rests { vec![row] } else { Vec::new() };
+        }
+        self.waiting.push(row);
+        match self.count > self.copies {
+            true => std::mem::take(&mut self.waiting),
+            false => Vec::new(),
+        }
     }
 }
 
@@ -498,6 +478,48 @@ pub(super) mod tests {
             let step = pair[1].t_s - pair[0].t_s;
             assert!((step - 8e-3).abs() < 5e-4, "{step}");
         }
+    }
+
+    /// Whole log of a joint in rows of 10 ms, without velocities, each of which has the reading of this instant, s.
+    fn repeating(instant_s: impl Fn(u32) -> f64) -> (Vec<LogRow>, WholeLog) {
+        let rows = (0..150).map(|k| {
+            let t_s = instant_s(k);
+            vec![1e-2 * f64::from(k), motion(t_s).0, 3.0 * t_s]
+        });
+        let (_here, path) = log_of("t_s,q1_rad,tau1_nm", rows);
+        let mut log = WholeLog::open(&path, &first_joints(1)).expect("a sound log");
+        let rows = std::iter::from_fn(|| log.next_row().expect("sound rows"));
+        (rows.collect(), log)
+    }
+
+    #[test]
+    fn rows_that_repeat_now_and_then_are_lost_or_those_of_a_slower_sensor() {
+        // Every fourth reading is lost, then every fourth row has no reading yet, then the arm rests.
+        let lost = |k: u32| 1e-2 * f64::from(if k % 4 == 3 { k - 1 } else { k });
+        let slower = |k: u32| 1.31e-2 * (f64::from(k) / 1.31).floor();
+        let rests = |k: u32| 1e-2 * f64::from(k.min(70));
+        let (rows, log) = repeating(lost);
+        assert_eq!((rows.len(), log.lost, log.left_out()), (150, 37, 37));
+        // Of a straight line over 20 ms at 4 rad/s².
+        for row in rows {
+            assert!((row.q[0] - motion(row.t_s).0).abs() < 2.1e-4, "{row:?}");
+        }
+        let (rows, log) = repeating(slower);
+        assert_eq!((rows.len(), log.lost), (114, 0));
+        assert!(
+            (log.period_s() - 1.31e-2).abs() < 1e-4,
+            "{}",
+            log.period_s()
+        );
+        for (k, row) in (0..).zip(rows) {
+            assert!(
+                (row.q[0] - motion(1.31e-2 * f64::from(k)).0).abs() < 1e-9,
+                "{row:?}"
+            );
+        }
+        let (rows, log) = repeating(rests);
+        assert_eq!((rows.len(), log.lost, log.left_out()), (150, 0, 0));
+        assert!((log.period_s() - 1e-2).abs() < 1e-9);
     }
 
     #[test]

@@ -18,7 +18,7 @@
 
 mod start;
 
-pub use start::{Statics, start};
+pub use start::{Started, Statics, start};
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -267,8 +267,13 @@ macro_rules! image {
 
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
-                let (mailboxes, wire, tick, learner, idle) =
-                    start::<$board>(cx.device, cx.core, cx.local.statics);
+                let Started {
+                    mailboxes,
+                    wire,
+                    tick,
+                    learner,
+                    idle,
+                } = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
                     wire,
                     tick,

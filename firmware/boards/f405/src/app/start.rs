@@ -53,20 +53,27 @@ impl Statics {
     }
 }
 
-/// Starts clocks, pins, session, learner and link; leaves by a reset if a constant of the board cannot work. Returns the
-/// mailboxes that tick, learner and idle loop share, and the parts of link's interrupt, tick, learner and idle loop.
+/// The parts of a started board, one for each task.
+pub struct Started<B: Board> {
+    /// Shared by tick, learner and idle loop.
+    pub mailboxes: &'static mut BoardMailboxes,
+    /// Of the link's interrupt.
+    pub wire: Wire,
+    /// Of the tick.
+    pub tick: Tick<B>,
+    /// Of the learner.
+    pub learner: &'static mut Learner,
+    /// Of the idle loop.
+    pub idle: Idle,
+}
+
+/// Starts clocks, pins, session, learner and link; leaves by a reset if a constant of the board cannot work.
 #[inline(always)]
 pub fn start<B: Board>(
     chip: pac::Peripherals,
     mut core: cortex_m::Peripherals,
     statics: &'static mut Statics,
-) -> (
-    &'static mut BoardMailboxes,
-    Wire,
-    Tick<B>,
-    &'static mut Learner,
-    Idle,
-) {
+) -> Started<B> {
     let (reason, place) = fault::take();
     let reset_reason = fault::reset_reason(reason, &chip.RCC);
     let kept = fault::latched();
@@ -187,5 +194,11 @@ pub fn start<B: Board>(
         housekeeping,
         drain,
     };
-    (mailboxes, wire, tick, learner, idle)
+    Started {
+        mailboxes,
+        wire,
+        tick,
+        learner,
+        idle,
+    }
 }

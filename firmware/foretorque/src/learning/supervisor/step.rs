@@ -15,6 +15,7 @@ pub(crate) struct SupervisorState {
     pub(crate) reversed: bool,
     /// Ticks of following until the next commit.
     pub(crate) commit_in: u32,
+    /// Remaining ticks of relearning.
     pub(crate) relearning_ticks: u32,
 }
 

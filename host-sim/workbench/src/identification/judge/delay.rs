@@ -38,8 +38,13 @@ pub(super) struct Delay {
     last: VecDeque<DVector<f64>>,
 }
 
-/// Number of averages, and products of all columns and the torques at all delays with one another.
-type Sums = (f64, DMatrix<f64>);
+#[derive(Clone)]
+struct Sums {
+    /// Number of averages.
+    count: f64,
+    /// Products of all columns and the torques at all delays with one another.
+    products: DMatrix<f64>,
+}
 
 const DELAYS: usize = 2 * TRIED + 1;
 
@@ -90,19 +95,22 @@ impl Delay {
         let average = self.last.iter().sum::<DVector<f64>>() / rows;
         self.last.pop_front();
         let last = self.sums.last();
-        if last.is_none_or(|(count, _)| *count >= self.full) {
+        if last.is_none_or(|last| last.count >= self.full) {
             if self.sums.len() == 2 * PARTS {
                 self.sums = self.sums.chunks(2).filter_map(joined).collect();
                 self.full *= 2.0;
             }
             self.full = self.full.max(1.0);
             let size = average.len();
-            self.sums.push((0.0, DMatrix::zeros(size, size)));
+            self.sums.push(Sums {
+                count: 0.0,
+                products: DMatrix::zeros(size, size),
+            });
         }
-        if let Some((count, products)) = self.sums.last_mut() {
+        if let Some(last) = self.sums.last_mut() {
             // Averages overlap: so many of them are worth one.
-            products.ger(1.0 / rows, &average, &average, 1.0);
-            *count += 1.0 / rows;
+            last.products.ger(1.0 / rows, &average, &average, 1.0);
+            last.count += 1.0 / rows;
         }
     }
 
@@ -116,7 +124,7 @@ impl Delay {
 
 /// Squares that the best parameters leave at every delay, at least those of rounding, and the number of averages beyond that of
 /// the columns.
-fn rests((count, products): &Sums) -> Option<(DVector<f64>, f64)> {
+fn rests(Sums { count, products }: &Sums) -> Option<(DVector<f64>, f64)> {
     let columns = products.nrows() - DELAYS;
     let gram = products.view((0, 0), (columns, columns)).into_owned();
     let (unit, size) = equilibrated(&gram);
@@ -144,9 +152,12 @@ fn costs(
     without: Option<usize>,
 ) -> Option<DVector<f64>> {
     let size = layout.parameters.len() + MORE * layout.joints();
-    let (mut all_count, mut all) = (0.0, DMatrix::zeros(size + DELAYS, size + DELAYS));
+    let mut all = Sums {
+        count: 0.0,
+        products: DMatrix::zeros(size + DELAYS, size + DELAYS),
+    };
     for (joint, (delay, variance)) in delays.iter().zip(variances).enumerate() {
-        let (Some(variance), Some((count, own))) = (variance, delay.sums(without)) else {
+        let (Some(variance), Some(own)) = (variance, delay.sums(without)) else {
             continue;
         };
         let private = layout.parameters.len() + MORE * joint;
@@ -155,19 +166,22 @@ fn costs(
         let places: Vec<usize> = places.chain(size..size + DELAYS).collect();
         for (a, &row) in places.iter().enumerate() {
             for (b, &column) in places.iter().enumerate() {
-                all[(row, column)] += own[(a, b)] / variance;
+                all.products[(row, column)] += own.products[(a, b)] / variance;
             }
         }
-        all_count += count;
+        all.count += own.count;
     }
-    let (rests, free) = rests(&(all_count, all))?;
+    let (rests, free) = rests(&all)?;
     Some(rests.map(|rest| 0.5 * free * rest.ln()))
 }
 
 /// The sums of all `parts`.
 fn joined<'a>(parts: impl IntoIterator<Item = &'a Sums>) -> Option<Sums> {
     let parts = parts.into_iter().cloned();
-    parts.reduce(|(count, products), (own, part)| (count + own, products + part))
+    parts.reduce(|all, part| Sums {
+        count: all.count + part.count,
+        products: all.products + part.products,
+    })
 }
 
 /// Most likely delay and its standard deviation in steps, by a parabola through the smallest cost and its neighbours.

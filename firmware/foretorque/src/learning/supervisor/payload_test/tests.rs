@@ -14,10 +14,12 @@ pub(in crate::learning::supervisor) fn of_mass(mass: f32) -> Payload {
     [mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 }
 
-/// Block of one row of every parameter, N·m a unit, and two in the directions of the mass, on the joints in turn, with
-/// `carried` in the torque where the arm has `actual`.
+/// Adds one row for each parameter and two more for the mass, on the joints in turn. The torque has `carried` in it, the arm
+/// holds `actual`.
 ///
-/// * `noise` of the torque of each row, N·m      * `deviations` standard deviations of a measurement and of a block, N·m
+/// * `height` of the column in its row, N·m a unit
+/// * `noise` of the torque of each row, N·m
+/// * `deviations` standard deviations of a measurement and of a block, N·m
 pub(in crate::learning::supervisor) fn add_block<const JOINTS: usize>(
     test: &mut PayloadHypothesisTest<JOINTS>,
     [carried, actual]: [&Payload; 2],
