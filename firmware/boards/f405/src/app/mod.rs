@@ -267,19 +267,14 @@ macro_rules! image {
 
             #[init(local = [statics: Statics = Statics::empty()])]
             fn init(cx: init::Context) -> (Shared, Local) {
-                let Started {
-                    mailboxes,
-                    wire,
-                    tick,
-                    learner,
-                    idle,
-                } = start::<$board>(cx.device, cx.core, cx.local.statics);
+                let started = start::<$board>(cx.device, cx.core, cx.local.statics);
                 let local = Local {
-                    wire,
-                    tick,
-                    learner,
-                    idle,
+                    wire: started.wire,
+                    tick: started.tick,
+                    learner: started.learner,
+                    idle: started.idle,
                 };
+                let mailboxes = started.mailboxes;
                 (Shared { mailboxes }, local)
             }
 
