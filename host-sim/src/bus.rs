@@ -73,11 +73,11 @@ impl Network for Attended {
                 if let Ask::Undetermined { joint, reason } = ask {
                     let line = undetermined(*joint, reason);
                     let written = write_line(format_args!("{line}"));
-                    written.map_err(|error| BusError::Gone("terminal".to_owned(), error))?;
+                    written.map_err(|error| BusError::Failed("terminal".to_owned(), error))?;
                 }
                 self.network.ask(ask)
             }
-            false => prompt(&request(ask)).map_err(|e| BusError::Gone("terminal".to_owned(), e)),
+            false => prompt(&request(ask)).map_err(|e| BusError::Failed("terminal".to_owned(), e)),
         };
         self.guard = Some(SignalGuard::begin());
         outcome

@@ -237,7 +237,7 @@ fn run() -> Result<(), Failure> {
     }
 }
 
-/// The program, whose options take negative numbers: else `-5` is refused as an unknown option.
+/// The program. Its options take negative numbers, which clap would refuse as unknown options.
 fn program() -> clap::Command {
     let with_signs = |command: clap::Command| command.allow_negative_numbers(true);
     let commands = |command| with_signs(command).mut_subcommands(with_signs);

@@ -51,7 +51,7 @@ pub trait Network {
     /// Errors: nobody is there.
     fn ask(&mut self, _: &Ask) -> Result<(), BusError> {
         let unsupported = io::ErrorKind::Unsupported.into();
-        Err(BusError::Gone(self.name(), unsupported))
+        Err(BusError::Failed(self.name(), unsupported))
     }
 }
 
@@ -66,7 +66,7 @@ pub enum BusError {
     Open(String, io::Error),
     /// The bus of this name has failed.
     #[error("bus {0} has failed, torque off: {1}")]
-    Gone(String, io::Error),
+    Failed(String, io::Error),
     /// Nothing answers.
     #[error("bus {0} is silent, torque off: no drive of the profile answers")]
     Quiet(String),
@@ -147,13 +147,13 @@ impl Network for WiredNetwork {
             return Ok(());
         };
         let sent = line.send(frame);
-        sent.map_err(|error| BusError::Gone(line.name(), error))
+        sent.map_err(|error| BusError::Failed(line.name(), error))
     }
 
     fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
         for (bus, line) in self.lines.iter_mut().enumerate() {
             let frame = line.receive();
-            let frame = frame.map_err(|error| BusError::Gone(line.name(), error))?;
+            let frame = frame.map_err(|error| BusError::Failed(line.name(), error))?;
             if let Some(frame) = frame {
                 return Ok(Some((bus as u8, frame)));
             }

@@ -235,7 +235,10 @@ mod tests {
             (Frame::remote(0x49), "r0490\r"),
             (moteus, "B00008001301000A\r"),
         ] {
-            assert_eq!(TextForm::Slcan.line(&frame).expect("it is short"), line);
+            assert_eq!(
+                TextForm::Slcan.line(&frame).expect("slcan has every frame"),
+                line
+            );
             assert_eq!(TextForm::Slcan.frame(line.trim_end()), Some(frame));
         }
         for (frame, line) in [

@@ -68,8 +68,8 @@ fn fit_of_noise_s(noise: f64, most: f64, period_s: f64) -> f64 {
     (720.0 * noise * noise * period_s / (most * most)).powf(0.2)
 }
 
-/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions gives the median joint an acceleration
-/// error of 5 % of its limit at most.
+/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions gives the median joint an
+/// acceleration error of 5 % of its limit at most.
 ///
 /// Errors: the log's.
 pub fn motion_filter_s(path: &Path, robot: &Robot) -> Result<f64, IdentifyError> {

@@ -30,8 +30,8 @@ pub(super) fn too_short(path: &Path, rows: usize) -> TableError {
 
 /// Reads a log row by row, in constant memory. Rows that were lost by its clock are put in: torques and velocities on a
 /// straight line between the neighbours, positions on the cubic through both and their velocities where the log has such.
-/// Rows with an uneven clock are put on an even grid in the same way. Rows that repeat the one before are left out before its
-/// clock is found: those of a slower sensor, and others of a moving arm.
+/// Rows with an uneven clock are put on an even grid in the same way. Rows that repeat the one before are left out first, so that
+/// the clock is that of the readings: rows of a slower sensor, and others of a moving arm.
 ///
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
@@ -316,9 +316,11 @@ struct Held {
     /// Most rows in turn that repeat a row of a moving arm, where each row should be a reading.
     copies: usize,
     last: Option<LogRow>,
-    /// Rows that repeat the last one so far; those that are left out unless the arm rests; all that were.
+    /// Rows that repeat the last one so far.
     count: usize,
+    /// Those of them that are left out unless more follow: then the arm rests.
     waiting: Vec<LogRow>,
+    /// Rows of a moving arm that were left out so far.
     left_out: usize,
 }
 
@@ -331,13 +333,14 @@ impl Held {
     fn of(rows: &[LogRow]) -> Self {
         let with_torques = |a: &LogRow, b: &LogRow| (a.q, a.tau) == (b.q, b.tau);
         let alone = |a: &LogRow, b: &LogRow| a.q == b.q;
-        let positions = Self::times(rows, alone).filter(|_| Self::are_held(rows));
+        let held = Self::are_held(rows);
+        let positions = Self::times(rows, alone).filter(|_| held);
         // Torques may be read more often.
         let times = positions.or_else(|| Self::times(rows, with_torques));
         Self {
             times: times.unwrap_or(1),
             torques: positions.is_none(),
-            copies: if Self::are_held(rows) { MAX_BRIDGED } else { 0 },
+            copies: if held { MAX_BRIDGED } else { 0 },
             last: None,
             count: 0,
             waiting: Vec::new(),
@@ -380,7 +383,6 @@ impl Held {
     fn readings(&mut self, row: LogRow) -> Vec<LogRow> {
         let same = |last: &LogRow| last.q == row.q && (!self.torques || last.tau == row.tau);
         if !self.last.as_ref().is_some_and(same) {
-            self.left_out += self.waiting.len();
             self.waiting.clear();
             (self.last, self.count) = (Some(row), 0);
             return vec![row];
@@ -391,10 +393,12 @@ impl Held {
             return if rests { vec![row] } else { Vec::new() };
         }
         self.waiting.push(row);
-        match self.count > self.copies {
-            true => std::mem::take(&mut self.waiting),
-            false => Vec::new(),
+        self.left_out += 1;
+        if self.count <= self.copies {
+            return Vec::new();
         }
+        self.left_out -= self.waiting.len();
+        std::mem::take(&mut self.waiting)
     }
 }
 

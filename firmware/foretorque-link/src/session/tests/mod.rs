@@ -423,7 +423,7 @@ fn records_that_are_not_sent_whole_are_counted() {
         while out.push(0, &ACK).is_ok() {}
         session.receive(&frame, mailboxes, out, sensor);
     });
-    assert!(whole.iter().all(|frame| *frame == (0, ACK)));
+    assert!(!whole.is_empty() && whole.iter().all(|frame| *frame == (0, ACK)));
     let statistics = board.statistics();
     assert_eq!((statistics.records_lost, statistics.replies_lost), (1, 1));
     let two = [1, 2].map(|k| board.numbered(&sample_message(k)));
