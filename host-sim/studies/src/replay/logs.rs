@@ -7,7 +7,7 @@ use foretorque::joint::{JointMeasurement, JointVector};
 use foretorque_workbench::dynamics::State;
 use foretorque_workbench::identification::{
     IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig, Prepared,
-    WholeLog, for_each_prepared, identify, motion_filter_s,
+    WholeLog, for_each_prepared, identify,
 };
 use foretorque_workbench::metrics::ErrorSums;
 use foretorque_workbench::robot::Robot;
@@ -67,8 +67,6 @@ pub(super) struct Logs<const N: usize> {
     pub(super) stretches: Vec<Stretch<N>>,
     /// Time between two rows, s: that of the first log.
     pub(super) period_s: f64,
-    /// Least length of the board's motion filter, s.
-    pub(super) filter_s: f64,
     /// Columns of the reference; none if it is the description.
     pub(super) columns: Option<&'static str>,
     pub(super) notes: Vec<String>,
@@ -90,9 +88,8 @@ pub(super) fn read<const N: usize>(
         .flat_map(|path| &path.files)
         .map(PathBuf::as_path)
         .collect();
-    let (mut period_s, mut filter_s) = (None, 0.0_f64);
+    let mut period_s = None;
     for &file in &files {
-        filter_s = filter_s.max(motion_filter_s(file, robot)?);
         let own = WholeLog::open(file, robot)?.period_s();
         let first = *period_s.get_or_insert(own);
         if (own / first - 1.0).abs() > 0.05 {
@@ -152,7 +149,6 @@ pub(super) fn read<const N: usize>(
     Ok(Logs {
         stretches,
         period_s,
-        filter_s,
         columns: columns_found,
         notes,
     })

@@ -15,15 +15,15 @@ use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector}
 use foretorque::learning::{Exchange, Learner, LearnerConfig, StartDeviations, TAPS};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
+use foretorque_workbench::identification::motion_filter;
 use foretorque_workbench::robot::Robot;
 use logs::{Scores, Stretch};
 use record::Predictions;
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Longest tick, s. A row is played in as many ticks as keep below it, on a straight line from the row before. The board's
-/// filter is 31 samples long: a quarter of a second at the 8 ms of a UR's log, which hides the accelerations of fast paths.
-const TICK_S: f64 = 2e-3;
+/// Longest tick, s: that of a board. A row is played in as many ticks as keep below it, on a straight line from the row before.
+const TICK_S: f64 = 1e-3;
 /// Age of the parameters that are scored beside the newest, s.
 const AGE_S: f64 = 10.0;
 /// Length of the window in which the first error is watched, s of motion.
@@ -34,19 +34,67 @@ const CLOSE: f64 = 1.1;
 /// Length of the window in which the board may not lose to its start, s.
 const WATCHED_S: f64 = 3.0;
 
-/// Parameters of the board before the first row, the period of the rows, and the least length of the motion filter.
+/// Least rows in a block of change detection. A board at 1 kHz bridges four ticks, so it has two measurements in 10 ms at least.
+/// Blocks of fewer rows have the same disturbance twice, and are taken for a change.
+const BLOCK_ROWS: u32 = 2;
+
+/// The board before the first row.
 #[derive(Clone, Copy)]
 struct Start<const N: usize, const P: usize> {
     set: ParameterSet<N, P>,
     deviations: StartDeviations<N, P>,
+    /// Period of the rows, s, and ticks in which a row is played.
     period_s: f64,
-    filter_s: f64,
+    ticks: u16,
+    config: LearnerConfig<N, P>,
 }
 
 impl<const N: usize, const P: usize> Start<N, P> {
-    /// Ticks in which a row is played.
-    fn ticks(&self) -> u16 {
-        ((self.period_s / TICK_S).round() as u16).max(1)
+    fn new<A: Arm<N, P>>(
+        set: ParameterSet<N, P>,
+        deviations: StartDeviations<N, P>,
+        period_s: f64,
+    ) -> Self {
+        let ticks = ((period_s / TICK_S).round() as u16).max(1);
+        let mut config = LearnerConfig::for_arm::<A>((period_s / f64::from(ticks)) as f32);
+        let block = BLOCK_ROWS * u32::from(ticks);
+        let block = config.supervisor.block_ticks.max(block);
+        config.supervisor = config.supervisor.with_blocks(block, config.inv_period);
+        Self {
+            set,
+            deviations,
+            period_s,
+            ticks,
+            config,
+        }
+    }
+
+    /// Period of the board, s.
+    fn tick_s(&self) -> f64 {
+        self.period_s / f64::from(self.ticks)
+    }
+
+    /// Lengthens the motion filter as the noise of the logs wants it; a note says so.
+    fn follow_noise(
+        &mut self,
+        paths: &[ReplayPath],
+        robot: &Robot,
+        notes: &mut Vec<String>,
+    ) -> Result<(), StudyError> {
+        let of_board = self.config.decimation;
+        let sample_s = TAPS as f64 * self.tick_s();
+        for file in paths.iter().flat_map(|path| &path.files) {
+            let range = self.config.decimation..=N as u32;
+            self.config.decimation = motion_filter(file, robot, sample_s, range)?;
+        }
+        if self.config.decimation > of_board {
+            let lengths = [self.config.decimation, of_board];
+            let [own, board] = lengths.map(|ticks| 1e3 * sample_s * f64::from(ticks));
+            notes.push(format!(
+                "motion filter of {own:.0} ms in place of {board:.0} ms, in which ripple and noise are a large part of the accelerations"
+            ));
+        }
+        Ok(())
     }
 }
 
@@ -64,15 +112,12 @@ struct Board<A: Arm<N, P>, const N: usize, const P: usize> {
 
 impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
     fn new(start: &Start<N, P>) -> Result<Self, StudyError> {
-        let period_s = (start.period_s / f64::from(start.ticks())) as f32;
+        let period_s = start.tick_s() as f32;
         let set = start.set;
         let mut feedforward = FeedForward::new(FeedForwardConfig::for_arm::<A, P>(period_s), set)?;
         feedforward.set_learning(true);
-        let mut config = LearnerConfig::for_arm::<A>(period_s);
-        let samples = start.filter_s as f32 / (TAPS as f32 * period_s);
-        config.decimation = (samples.round() as u32).clamp(config.decimation, N as u32);
         let mut learner = Learner::EMPTY;
-        learner.restart_with(config, &set, &start.deviations)?;
+        learner.restart_with(start.config, &set, &start.deviations)?;
         Ok(Self {
             start: *start,
             feedforward,
@@ -98,9 +143,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Board<A, N, P> {
         self.clipped += u32::from(torque.flags.contains(Flags::LEARNED_CLIPPED));
         let log = &self.feedforward.state().report.decisions;
         for decision in (self.decided..log.count()).filter_map(|index| log.get(index)) {
-            let tick_s = self.start.period_s / f64::from(self.start.ticks());
             self.decisions.push(ReplayDecision {
-                t_s: f64::from(self.ticks) * tick_s,
+                t_s: f64::from(self.ticks) * self.start.tick_s(),
                 reason: decision.reason.to_string(),
                 joint: decision.joint.map(|joint| joint + 1),
                 figure: decision.figure,
@@ -159,8 +203,8 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
         let aged = torques(history.front().unwrap_or(&loaded));
         predicted.aged.extend(aged.iter());
         let from = before.replace(row.measured).unwrap_or(row.measured);
-        for k in 1..=start.ticks() {
-            let share = f32::from(k) / f32::from(start.ticks());
+        for k in 1..=start.ticks {
+            let share = f32::from(k) / f32::from(start.ticks);
             board.tick(Some(&JointSample {
                 desired,
                 measured: Some(JointMeasurement {
@@ -224,12 +268,9 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
 ) -> Result<Outcome<ReplayReport>, StudyError> {
     let logs = logs::read::<N>(paths, robot, seed, progress)?;
     let (stretches, period_s) = (logs.stretches, period_s.unwrap_or(logs.period_s));
-    let start = Start {
-        set,
-        deviations,
-        period_s,
-        filter_s: logs.filter_s,
-    };
+    let mut notes = logs.notes;
+    let mut start = Start::new::<A>(set, deviations, period_s);
+    start.follow_noise(paths, robot, &mut notes)?;
     let mut board = Board::<A, N, P>::new(&start)?;
     let mut history = VecDeque::new();
     let mut scores: Vec<Scores<N>> = paths.iter().map(|_| Scores::default()).collect();
@@ -275,7 +316,7 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
         version: env!("CARGO_PKG_VERSION").to_owned(),
         robot: robot.name.clone(),
         start: named.to_owned(),
-        notes: logs.notes,
+        notes,
         period_s,
         reference,
         worst_window_over_start_ratio: windows.reduce(f64::max),

@@ -37,7 +37,7 @@ pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
 pub use normal::{CoggingAmplitudes, JointSums, SampleRow};
 pub use page::page;
-pub use prepare::{Preparation, PrepareConfig, Prepared, motion_filter_s};
+pub use prepare::{Preparation, PrepareConfig, Prepared, motion_filter};
 pub use problem::{Candidate, MethodResult, Progress};
 pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,

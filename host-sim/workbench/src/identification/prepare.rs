@@ -5,14 +5,14 @@ use super::columns::Layout;
 use super::filter::{Butterworth, derivative, despiked, median};
 use super::log::LogRow;
 use super::normal::SpeedSums;
-use super::whole_log::WholeLog;
+use super::whole_log::{MOVED_RAD, WholeLog};
 use super::{IdentifyError, refused};
 use crate::dynamics::{Motion, PerJoint};
 use crate::metrics::MOVING_RAD_S;
 use crate::robot::Robot;
 use nalgebra::DMatrix;
 use std::f64::consts::TAU;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::path::Path;
 
 /// Rows in a period of the motion's cut-off from which derivatives of the positions are used before logged ones.
@@ -62,23 +62,87 @@ fn cut_off_of_noise(noise: f64, most: f64, period_s: f64) -> f64 {
     power.powf(0.2)
 }
 
-/// Length of a quadratic fit, s, whose acceleration has an error of `most` from this noise. A fit over time T has the variance
-/// `720 noise² period / T⁵`.
-fn fit_of_noise_s(noise: f64, most: f64, period_s: f64) -> f64 {
-    (720.0 * noise * noise * period_s / (most * most)).powf(0.2)
-}
+/// Largest power of accelerations that are no motion of the arm, share of that of its motion.
+const FALSE_POWER: f64 = 0.05;
 
-/// Least length of a board's motion filter for the log at `path`, s: the noise of its positions gives the median joint an
-/// acceleration error of 5 % of its limit at most.
+/// Length of a board's motion filter for the log at `path`, in units of `unit_s`, within `range`.
+///
+/// The acceleration of a short fit contains ripple, vibration and noise, which no rigid body explains.
+/// A fit of twice the length is nearly free of them, and has nearly all of the motion.
+/// So the filter is lengthened while that costs the median joint more than 5 % of the power.
+/// Each step has to halve this share: that of white noise falls with the fifth power of the length.
+/// Otherwise it is motion, faster than the filter.
 ///
 /// Errors: the log's.
-pub fn motion_filter_s(path: &Path, robot: &Robot) -> Result<f64, IdentifyError> {
+pub fn motion_filter(
+    path: &Path,
+    robot: &Robot,
+    unit_s: f64,
+    range: RangeInclusive<u32>,
+) -> Result<u32, IdentifyError> {
     let log = WholeLog::open(path, robot)?;
-    let joints = robot.joints.iter().zip(&log.noise);
-    let lengths = joints.map(|(joint, noise)| {
-        fit_of_noise_s(*noise, NOISE * joint.limits.acceleration, log.period_s())
-    });
-    Ok(median(&mut lengths.collect::<Vec<f64>>()))
+    let rows = longest_piece(&log);
+    let positions = |joint: usize| rows.iter().map(move |row| row.q[joint]).collect();
+    let mut moving: Vec<Vec<f64>> = (0..robot.joints.len()).map(positions).collect();
+    moving.retain(|q| q.iter().any(|q_rad| (q_rad - q[0]).abs() > MOVED_RAD));
+    Ok(fit_length(&moving, unit_s / log.period_s(), range))
+}
+
+/// The longest of the first rows of a log without a gap, across which derivatives would be wrong.
+fn longest_piece(log: &WholeLog) -> &[LogRow] {
+    let whole = |a: &LogRow, b: &LogRow| b.t_s - a.t_s <= GAP_PERIODS * log.period_s();
+    let pieces = log.preview.chunk_by(whole);
+    pieces.max_by_key(|piece| piece.len()).unwrap_or_default()
+}
+
+/// Length of the fit for positions of several joints, in units of `unit` rows; see [`motion_filter`].
+fn fit_length(joints: &[Vec<f64>], unit: f64, range: RangeInclusive<u32>) -> u32 {
+    let half = |length: u32| ((0.5 * (f64::from(length) * unit - 1.0)).round() as usize).max(1);
+    let share = |length: u32| {
+        let halves = [half(length), half(2 * length)];
+        let shares = joints.iter().map(|q| false_power(q, halves));
+        median(&mut shares.collect::<Vec<f64>>())
+    };
+    let (mut length, longest) = range.into_inner();
+    while length < longest && share(length) > FALSE_POWER && share(length + 1) < 0.5 * share(length)
+    {
+        length += 1;
+    }
+    length
+}
+
+/// Weights of a window of `2 half + 1` rows whose sum is the curvature of the quadratic fitted to it, up to a factor.
+fn curvature_weights(half: usize) -> Vec<f64> {
+    let distances = (0..=2 * half).map(|row| row as f64 - half as f64);
+    let squares: Vec<f64> = distances.map(|k| k * k).collect();
+    let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+    let spread: f64 = squares.iter().map(|square| (square - mean).powi(2)).sum();
+    squares
+        .iter()
+        .map(|square| (square - mean) / spread)
+        .collect()
+}
+
+/// Power of what the acceleration of the shorter fit has and that of the longer has not, over the power of the longer.
+///
+/// * `halves` rows on each side of the middle, of both
+fn false_power(q: &[f64], halves: [usize; 2]) -> f64 {
+    let [short, long] = halves.map(curvature_weights);
+    let (mut lost, mut kept) = (0.0, 0.0);
+    for window in q.windows(long.len()) {
+        // Differences from the middle: positions are large, curvatures are not.
+        let of = |weights: &[f64]| {
+            let rows = &window[(long.len() - weights.len()) / 2..];
+            let terms = rows.iter().zip(weights);
+            terms
+                .map(|(q, weight)| (q - window[long.len() / 2]) * weight)
+                .sum::<f64>()
+        };
+        let (short, long) = (of(&short), of(&long));
+        lost += (short - long).powi(2);
+        kept += long.powi(2);
+    }
+    lost / kept
 }
 
 impl PrepareConfig {
@@ -176,10 +240,7 @@ impl Preparation {
         let (reader, period_s, name) = (&log.reader, log.period_s(), path.display());
         notes.extend_from_slice(&log.notes);
         let start_s = log.preview.first().map_or(0.0, |row| row.t_s);
-        // Without gaps: derivatives across one would be wrong.
-        let whole = |a: &LogRow, b: &LogRow| b.t_s - a.t_s <= GAP_PERIODS * period_s;
-        let pieces = log.preview.chunk_by(whole);
-        let preview = pieces.max_by_key(|piece| piece.len()).unwrap_or_default();
+        let preview = longest_piece(log);
         let at = |logged| Self::new(config, start_s, period_s, logged);
         let edge = at([false; 2]).edge().min(preview.len() / 3);
         let mut logged = [false; 2];
@@ -403,16 +464,39 @@ impl Prepared {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    /// Positions in rows 2 ms apart: a sine of 0.5 rad at `omega` with white noise of `noise`, rad.
+    fn sine(omega: f64, noise: f64) -> Vec<f64> {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        let rows = (0..20_000).map(|k| 0.5 * (omega * 2e-3 * f64::from(k)).sin());
+        rows.map(|q| q + noise * random.sample::<f64, _>(StandardNormal))
+            .collect()
+    }
 
     #[test]
-    fn a_fit_of_the_length_for_noise_has_the_acceleration_error_it_should() {
-        let (noise, most, period_s) = (5e-4, 0.5, 1e-3);
-        let half = (fit_of_noise_s(noise, most, period_s) / period_s / 2.0).round() as i32;
-        let squares = || (-half..=half).map(|k| f64::from(k * k));
-        let mean = squares().sum::<f64>() / f64::from(2 * half + 1);
-        // The acceleration is a sum over the positions with weights in proportion to k² − mean.
-        let spread: f64 = squares().map(|square| (square - mean).powi(2)).sum();
-        let error = 2.0 * noise / spread.sqrt() / period_s.powi(2);
-        assert!((error / most - 1.0).abs() < 0.1, "{error} of {most}");
+    fn false_power_of_noise_is_that_of_the_weights() {
+        let halves = [15, 31];
+        let found = false_power(&sine(3.0, 5e-4), halves);
+        // The longer fit has hardly any of the noise.
+        let squares = curvature_weights(halves[0]).into_iter().map(|w| w * w);
+        let noise = (2.0 * 5e-4 / 2e-3_f64.powi(2)).powi(2) * squares.sum::<f64>();
+        let expected = noise / (0.5 * (0.5_f64 * 3.0 * 3.0).powi(2));
+        let over = found / expected;
+        assert!((over - 1.0).abs() < 0.1, "{found} for {expected}");
+    }
+
+    #[test]
+    fn a_fit_is_lengthened_for_noise_and_not_for_fast_motion() {
+        // A unit of 31 ms: two of them are the filter of a board.
+        let length = |omega, noise| fit_length(&[sine(omega, noise)], 15.5, 2..=6);
+        assert_eq!(length(3.0, 0.0), 2);
+        assert_eq!(length(3.0, 3e-4), 2);
+        assert_eq!(length(3.0, 2e-3), 4);
+        assert_eq!(length(3.0, 1e-2), 6);
+        assert_eq!(length(40.0, 0.0), 2);
+        assert_eq!(fit_length(&[], 15.5, 2..=6), 2);
+        assert_eq!(fit_length(&[vec![0.0; 5]], 15.5, 2..=6), 2);
     }
 }

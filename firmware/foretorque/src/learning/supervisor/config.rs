@@ -93,9 +93,7 @@ impl SupervisorConfig {
         let shortest = N as u32 + 1;
         let rated = rated_payload::<A, N, P>();
         let block_ticks = block_ticks.max(shortest);
-        let blocks = |time_s: f32| (time_s * inv_period / block_ticks as f32 + 0.5) as u32;
-        Self {
-            block_ticks,
+        let config = Self {
             detector: DetectorConfig {
                 clip: 9.5,
                 drift: 3.2,
@@ -106,20 +104,33 @@ impl SupervisorConfig {
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.03 * rated,
             payload_evidence: 60.0,
-            lasting_blocks: blocks(1.5),
             quiet_level: 0.5,
             decision_blocks: 5,
-            timeout_blocks: blocks(3.0),
-            payload_update_blocks: blocks(10.0),
             share_memory_s: 20.0,
             relearning_ticks: (5.0 * inv_period) as u32,
             commit_ticks: (8.0 * inv_period) as u32,
             following_share: (0.5, 0.25),
             checkpoint_ticks: (12.8 * block_ticks as f32) as u32,
             raised_variance: 0.05,
-            pause_blocks: blocks(30.0),
             training_rows: 4096,
             trust_floor: 0.7,
+            ..Self::ZERO
+        };
+        config.with_blocks(block_ticks, inv_period)
+    }
+
+    /// Thresholds for blocks of `block_ticks` ticks. Where not every tick has a measurement, a block should have two at least.
+    ///
+    /// * `inv_period` ticks per second, 1/s
+    pub fn with_blocks(self, block_ticks: u32, inv_period: f32) -> Self {
+        let blocks = |time_s: f32| (time_s * inv_period / block_ticks as f32 + 0.5) as u32;
+        Self {
+            block_ticks,
+            lasting_blocks: blocks(1.5),
+            timeout_blocks: blocks(3.0),
+            payload_update_blocks: blocks(10.0),
+            pause_blocks: blocks(30.0),
+            ..self
         }
     }
 
