@@ -235,7 +235,7 @@ fn show_warnings(judgement: &Judgement) -> Result<(), Failure> {
 
 /// Prints the judgement of `--data-check`.
 ///
-/// Errors: the first finding that refuses; logs that do not show all `parameters`.
+/// Errors: the first finding that refuses, after the others are printed; logs that do not show all `parameters`.
 pub(super) fn show_check(judgement: &Judgement, parameters: usize) -> Result<(), Failure> {
     show!("rows every {:.3} ms", 1e3 * judgement.period_s)?;
     for note in &judgement.notes {
@@ -260,8 +260,10 @@ pub(super) fn show_check(judgement: &Judgement, parameters: usize) -> Result<(),
         show!("torque delay {delay:.2} ± {deviation:.2} ms")?;
     }
     show_warnings(judgement)?;
-    if let Some(finding) = judgement.findings.iter().find(|finding| finding.refuses) {
-        bail!("{}", finding.text);
+    let mut refusing = judgement.findings.iter().filter(|finding| finding.refuses);
+    if let Some(first) = refusing.next() {
+        refusing.try_for_each(|other| show!("also wrong  {}", other.text))?;
+        bail!("{}", first.text);
     }
     let unseen = &judgement.unseen;
     if unseen.is_empty() {

@@ -244,6 +244,14 @@ noise | are noise: they follow neither the motion nor gravity";
         here.write("bad.csv", planted(&good, mistake(name)));
         judged(words);
     }
+    // Of two mistakes the check names both.
+    let frozen = planted(&good, mistake("frozen"));
+    here.write("bad.csv", planted(&frozen, mistake("turned torque 3")));
+    let output = here.run("identify --robot ur5 --log bad.csv --data-check");
+    let shown = String::from_utf8(output.stdout).expect("UTF-8");
+    assert_contains(&shown, "also wrong  torque of joint 3 has the wrong sign");
+    let refusal = String::from_utf8(output.stderr).expect("UTF-8");
+    assert_contains(&refusal, "joint 5: its torque is always");
     // The rate of this clock is in the torques alone.
     let fast = planted(&good, each(|row| row[0] *= 0.5));
     let bare = |line: &str| -> String {
