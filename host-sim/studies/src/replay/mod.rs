@@ -22,7 +22,7 @@ use record::Predictions;
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Longest tick, s: that of a board. A row is played in as many ticks as keep below it, on a straight line from the row before.
+/// Tick of a board, s. A row is played in as many as are nearest to it, one at least, on a straight line from the row before.
 const TICK_S: f64 = 1e-3;
 /// Age of the parameters that are scored beside the newest, s.
 const AGE_S: f64 = 10.0;
@@ -35,8 +35,8 @@ const CLOSE: f64 = 1.1;
 const WATCHED_S: f64 = 3.0;
 
 /// Least rows in a block of change detection. A board at 1 kHz bridges four ticks, so it has two measurements in 10 ms at least.
-/// Blocks of fewer rows have the same disturbance twice, and are taken for a change.
-const BLOCK_ROWS: u32 = 2;
+/// Of fewer, neighbouring blocks repeat the same disturbance, and it is taken for a change.
+const ROWS_A_BLOCK: u32 = 2;
 
 /// The board before the first row.
 #[derive(Clone, Copy)]
@@ -57,7 +57,7 @@ impl<const N: usize, const P: usize> Start<N, P> {
     ) -> Self {
         let ticks = ((period_s / TICK_S).round() as u16).max(1);
         let mut config = LearnerConfig::for_arm::<A>((period_s / f64::from(ticks)) as f32);
-        let block = BLOCK_ROWS * u32::from(ticks);
+        let block = ROWS_A_BLOCK * u32::from(ticks);
         let block = config.supervisor.block_ticks.max(block);
         config.supervisor = config.supervisor.with_blocks(block, config.inv_period);
         Self {
@@ -74,8 +74,8 @@ impl<const N: usize, const P: usize> Start<N, P> {
         self.period_s / f64::from(self.ticks)
     }
 
-    /// Lengthens the motion filter as the noise of the logs wants it; a note says so.
-    fn follow_noise(
+    /// Lengthens the motion filter as ripple and noise of the logs require; a note says so.
+    fn lengthen_filter(
         &mut self,
         paths: &[ReplayPath],
         robot: &Robot,
@@ -84,8 +84,8 @@ impl<const N: usize, const P: usize> Start<N, P> {
         let of_board = self.config.decimation;
         let sample_s = TAPS as f64 * self.tick_s();
         for file in paths.iter().flat_map(|path| &path.files) {
-            let range = self.config.decimation..=N as u32;
-            self.config.decimation = motion_filter(file, robot, sample_s, range)?;
+            let needed = motion_filter(file, robot, sample_s, of_board..=N as u32)?;
+            self.config.decimation = self.config.decimation.max(needed);
         }
         if self.config.decimation > of_board {
             let lengths = [self.config.decimation, of_board];
@@ -270,7 +270,7 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     let (stretches, period_s) = (logs.stretches, period_s.unwrap_or(logs.period_s));
     let mut notes = logs.notes;
     let mut start = Start::new::<A>(set, deviations, period_s);
-    start.follow_noise(paths, robot, &mut notes)?;
+    start.lengthen_filter(paths, robot, &mut notes)?;
     let mut board = Board::<A, N, P>::new(&start)?;
     let mut history = VecDeque::new();
     let mut scores: Vec<Scores<N>> = paths.iter().map(|_| Scores::default()).collect();
@@ -379,4 +379,29 @@ fn after_others<A: Arm<N, P>, const N: usize, const P: usize>(
         ratios.extend(scores.aged.over(&scores.rich_aged).into_iter().flatten());
     }
     Ok(geometric_mean(&ratios))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_played_in_ticks_of_a_board_and_blocks_have_two_of_them() {
+        // Rows a second, ticks of a row and of a block.
+        for (rate_hz, ticks, block) in [(1e3, 1, 10), (700.0, 1, 7), (125.0, 8, 16), (30.0, 33, 66)]
+        {
+            let set = ParameterSet::nominal::<Ur5>(1);
+            let start = Start::new::<Ur5>(set, StartDeviations::PRIOR, 1.0 / rate_hz);
+            assert_eq!(start.ticks, ticks, "{rate_hz} Hz");
+            let supervisor = start.config.supervisor;
+            assert_eq!(supervisor.block_ticks, block, "{rate_hz} Hz");
+            assert!(supervisor.checkpoint_ticks >= 4 * block, "{rate_hz} Hz");
+            let time_s = |blocks: u32| f64::from(blocks * block) * start.tick_s();
+            assert!((time_s(supervisor.timeout_blocks) - 3.0).abs() < 0.1);
+        }
+        // Rows of two seconds teach nothing, but are valid.
+        let set = ParameterSet::nominal::<Ur5>(1);
+        let start = Start::new::<Ur5>(set, StartDeviations::PRIOR, 2.0);
+        assert_eq!(start.config.validate(), Ok(()));
+    }
 }

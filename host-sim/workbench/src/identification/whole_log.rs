@@ -10,11 +10,11 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 /// Rows from which the period and the sources of motion are found.
-const PREVIEW: usize = 4096;
+pub(super) const PREVIEW: usize = 4096;
 /// Most rows that are read for them, where the arm rests first.
 const LONGEST_PREVIEW: usize = 16 * PREVIEW;
 /// Distance from its first position at which a joint has moved, rad.
-pub(super) const MOVED_RAD: f64 = 0.2;
+const MOVED_RAD: f64 = 0.2;
 
 /// The error of a log of fewer than three rows.
 pub(super) fn too_short(path: &Path, rows: usize) -> TableError {

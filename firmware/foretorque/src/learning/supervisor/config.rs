@@ -40,7 +40,7 @@ pub struct SupervisorConfig {
     pub commit_ticks: u32,
     /// Common share above which the active set counts as following the estimate, and below which it ceases to.
     pub following_share: (f32, f32),
-    /// Ticks between two checkpoints, 12.8 blocks, which are 0.128 s; an alarm returns to one between one and two such times old,
+    /// Ticks between two checkpoints, 0.128 s and four blocks at least; an alarm returns to one between one and two such times old,
     /// which is longer than the delay of change detection.
     pub checkpoint_ticks: u32,
     /// Variance added to each friction parameter in a turn of relearning, in units of the prior variance.
@@ -119,13 +119,15 @@ impl SupervisorConfig {
         config.with_blocks(block_ticks, inv_period)
     }
 
-    /// Thresholds for blocks of `block_ticks` ticks. Where not every tick has a measurement, a block should have two at least.
+    /// Thresholds for blocks of `block_ticks` ticks, one more than the joints at least. Where not every tick has a measurement, a
+    /// block should have two.
     ///
     /// * `inv_period` ticks per second, 1/s
     pub fn with_blocks(self, block_ticks: u32, inv_period: f32) -> Self {
-        let blocks = |time_s: f32| (time_s * inv_period / block_ticks as f32 + 0.5) as u32;
+        let blocks = |time_s: f32| (time_s * inv_period / block_ticks as f32 + 0.5).max(1.0) as u32;
         Self {
             block_ticks,
+            checkpoint_ticks: self.checkpoint_ticks.max(block_ticks.saturating_mul(4)),
             lasting_blocks: blocks(1.5),
             timeout_blocks: blocks(3.0),
             payload_update_blocks: blocks(10.0),
