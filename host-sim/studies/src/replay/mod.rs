@@ -12,7 +12,9 @@ use foretorque::arm::Arm;
 use foretorque::arm::ur5::{self, PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, FeedForwardState, ParameterSet};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque::learning::{Exchange, Learner, LearnerConfig, StartDeviations, TAPS};
+use foretorque::learning::{
+    Exchange, Learner, LearnerConfig, StartDeviations, SupervisorConfig, TAPS,
+};
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
 use foretorque_workbench::identification::motion_filter;
@@ -34,10 +36,6 @@ const CLOSE: f64 = 1.1;
 /// Length of the window in which the board may not lose to its start, s.
 const WATCHED_S: f64 = 3.0;
 
-/// Least rows in a block of change detection. A board at 1 kHz bridges four ticks, so it has two measurements in 10 ms at least.
-/// Of fewer, neighbouring blocks repeat the same disturbance, and it is taken for a change.
-const ROWS_A_BLOCK: u32 = 2;
-
 /// The board before the first row.
 #[derive(Clone, Copy)]
 struct Start<const N: usize, const P: usize> {
@@ -57,9 +55,8 @@ impl<const N: usize, const P: usize> Start<N, P> {
     ) -> Self {
         let ticks = ((period_s / TICK_S).round() as u16).max(1);
         let mut config = LearnerConfig::for_arm::<A>((period_s / f64::from(ticks)) as f32);
-        let block = ROWS_A_BLOCK * u32::from(ticks);
-        let block = config.supervisor.block_ticks.max(block);
-        config.supervisor = config.supervisor.with_blocks(block, config.inv_period);
+        config.supervisor =
+            SupervisorConfig::for_sensor::<A, N, P>(config.inv_period, ticks.into());
         Self {
             set,
             deviations,

@@ -40,8 +40,8 @@ pub struct SupervisorConfig {
     pub commit_ticks: u32,
     /// Common share above which the active set counts as following the estimate, and below which it ceases to.
     pub following_share: (f32, f32),
-    /// Ticks between two checkpoints, 0.128 s and four blocks at least; an alarm returns to one between one and two such times old,
-    /// which is longer than the delay of change detection.
+    /// Ticks between two checkpoints: 0.128 s at 1 kHz, and four blocks at least. An alarm returns to one between one and two such
+    /// times old, which is longer than the delay of change detection.
     pub checkpoint_ticks: u32,
     /// Variance added to each friction parameter in a turn of relearning, in units of the prior variance.
     pub raised_variance: f32,
@@ -88,12 +88,24 @@ impl SupervisorConfig {
     ///
     /// * `inv_period` ticks per second, 1/s
     pub fn for_arm<A: Arm<N, P>, const N: usize, const P: usize>(inv_period: f32) -> Self {
-        let block_ticks = (0.01 * inv_period + 0.5) as u32;
+        Self::for_sensor::<A, N, P>(inv_period, 1)
+    }
+
+    /// Defaults for an arm that is measured every `ticks` ticks. A block has two measurements at least: of fewer, neighbouring blocks
+    /// repeat the same disturbance, and change detection takes it for a change.
+    ///
+    /// * `inv_period` ticks per second, 1/s
+    pub fn for_sensor<A: Arm<N, P>, const N: usize, const P: usize>(
+        inv_period: f32,
+        ticks: u32,
+    ) -> Self {
         // Each joint of a block is processed in a tick of its own.
-        let shortest = N as u32 + 1;
+        let usual = ((0.01 * inv_period + 0.5) as u32).max(N as u32 + 1);
+        let block_ticks = usual.max(ticks.saturating_mul(2));
+        let blocks = |time_s: f32| (time_s * inv_period / block_ticks as f32 + 0.5).max(1.0) as u32;
         let rated = rated_payload::<A, N, P>();
-        let block_ticks = block_ticks.max(shortest);
-        let config = Self {
+        Self {
+            block_ticks,
             detector: DetectorConfig {
                 clip: 9.5,
                 drift: 3.2,
@@ -104,35 +116,20 @@ impl SupervisorConfig {
             max_com_distance: MAX_COM_DISTANCE,
             max_mass_sigma: 0.03 * rated,
             payload_evidence: 60.0,
+            lasting_blocks: blocks(1.5),
             quiet_level: 0.5,
             decision_blocks: 5,
+            timeout_blocks: blocks(3.0),
+            payload_update_blocks: blocks(10.0),
             share_memory_s: 20.0,
             relearning_ticks: (5.0 * inv_period) as u32,
             commit_ticks: (8.0 * inv_period) as u32,
             following_share: (0.5, 0.25),
-            checkpoint_ticks: (12.8 * block_ticks as f32) as u32,
+            checkpoint_ticks: ((12.8 * usual as f32) as u32).max(block_ticks.saturating_mul(4)),
             raised_variance: 0.05,
+            pause_blocks: blocks(30.0),
             training_rows: 4096,
             trust_floor: 0.7,
-            ..Self::ZERO
-        };
-        config.with_blocks(block_ticks, inv_period)
-    }
-
-    /// Thresholds for blocks of `block_ticks` ticks, one more than the joints at least. Where not every tick has a measurement, a
-    /// block should have two.
-    ///
-    /// * `inv_period` ticks per second, 1/s
-    pub fn with_blocks(self, block_ticks: u32, inv_period: f32) -> Self {
-        let blocks = |time_s: f32| (time_s * inv_period / block_ticks as f32 + 0.5).max(1.0) as u32;
-        Self {
-            block_ticks,
-            checkpoint_ticks: self.checkpoint_ticks.max(block_ticks.saturating_mul(4)),
-            lasting_blocks: blocks(1.5),
-            timeout_blocks: blocks(3.0),
-            payload_update_blocks: blocks(10.0),
-            pause_blocks: blocks(30.0),
-            ..self
         }
     }
 
