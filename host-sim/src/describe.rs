@@ -65,6 +65,9 @@ impl Describe {
             Format::Mjcf => urdf::mjcf,
             Format::Sdf => urdf::sdf,
         };
+        if robot.coupling.is_some() {
+            notes.push("without the coupling of the drives, for which this format has no element: --format toml or overlay keep it".to_owned());
+        }
         show!("{}", write(&robot).trim_end())?;
         // Nothing may stand before the declaration of an XML.
         for note in &notes {

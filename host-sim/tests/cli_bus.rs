@@ -102,6 +102,7 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
 
 #[test]
 fn the_wiring_of_a_board_is_written_from_the_profile() {
+    use foretorque::arm::ur5::Ur5;
     use foretorque_link::bus::{Role, Wires, Wiring};
     let here = Directory::new("wiring");
     let profile = here.text(PROFILE);
@@ -137,7 +138,7 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         here.shows(&command, "0x08080000 board.bin");
         let mut bytes = fs::read(here.join("board.bin")).expect("it was written");
         bytes.resize(Wiring::<6>::BYTES, 0xff);
-        let wiring = Wiring::<6>::decode(&bytes).expect("the board reads it");
+        let wiring = Wiring::<6>::decode::<Ur5, 40>(&bytes).expect("the board reads it");
         assert_eq!((wiring.role, wiring.wires), (expected, wires));
         let joints: Vec<bool> = wiring.joints.iter().map(Option::is_some).collect();
         let all = more.is_empty();
@@ -145,14 +146,14 @@ fn the_wiring_of_a_board_is_written_from_the_profile() {
         // Three drives on each bus, commands and replies of 135 bits at most.
         assert_eq!(wiring.shortest_period_us, if all { 3 * 2 * 135 } else { 0 });
         bytes[5] ^= 1;
-        assert_eq!(Wiring::<6>::decode(&bytes), None);
+        assert_eq!(Wiring::<6>::decode::<Ur5, 40>(&bytes), None);
     }
     // A board in line of one drive has the bit rate of its bus.
     let one = "wiring --profile apart.toml --role in-line --joint 5 --out one.bin";
     here.succeeds(one);
     let mut bytes = fs::read(here.join("one.bin")).expect("it was written");
     bytes.resize(Wiring::<6>::BYTES, 0xff);
-    let wiring = Wiring::<6>::decode(&bytes).expect("it is sound");
+    let wiring = Wiring::<6>::decode::<Ur5, 40>(&bytes).expect("it is sound");
     assert_eq!(wiring.bit_s, 500_000);
     here.write("sim.toml", &profile);
     // Profile, role, and the words of the refusal.

@@ -442,6 +442,8 @@ fn drives_that_turn_two_joints_are_identified() {
     ] {
         here.succeeds(command);
     }
+    let described = here.succeeds("describe arm.toml --format urdf");
+    assert!(described.contains("<!-- without the coupling of the drives"));
     let without = "identify --robot arm.toml --log 1.csv --validate 2.csv --methods wls --out wls";
     here.refused(without, "--methods consistent gives a robot.toml");
     // Boards have no coupled joints.

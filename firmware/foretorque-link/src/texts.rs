@@ -48,8 +48,8 @@ macro_rules! errors {
     (@number $joint:ident) => { u8 };
 }
 
-/// Declares an error whose description is also there without the payload, for a log that formats no text. What a variant
-/// displays besides stands behind its description, with the name of the payload in braces.
+/// Declares an error whose description goes to a defmt log without the payload. What a variant displays besides stands
+/// behind its description, with the name of the payload in braces.
 macro_rules! described_errors {
     (
         $(#[$meta:meta])*
@@ -70,21 +70,24 @@ macro_rules! described_errors {
             )*
         }
 
-        impl $name {
-            /// Description without the payload.
-            pub const fn text(self) -> &'static str {
+        #[cfg(feature = "defmt")]
+        impl defmt::Format for $name {
+            fn format(&self, f: defmt::Formatter<'_>) {
                 match self {
-                    $(Self::$variant { .. } => $text,)*
+                    $(Self::$variant { .. } => defmt::write!(f, $text),)*
                 }
             }
         }
 
         impl core::fmt::Display for $name {
             fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-                f.write_str(self.text())?;
                 match self {
-                    $(Self::$variant $(($item))? => Ok(()) $(.and_then(|()| write!(f, $more)))?,)*
+                    $(Self::$variant $(($item))? => {
+                        f.write_str($text)?;
+                        $(write!(f, $more)?;)?
+                    })*
                 }
+                Ok(())
             }
         }
 

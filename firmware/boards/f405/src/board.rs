@@ -46,6 +46,9 @@ pub trait Drive: LocalSensor<JOINTS> + Sized + Send {
         0
     }
 
+    /// Lowers the torque limits of the session to those of the drives; once, before it has parameters.
+    fn limit(&self, _: &mut BoardSession) {}
+
     /// Take the reports of drives on a bus, and pass faults of stage and encoder to the session; before each tick.
     fn watch(&mut self, session: &mut BoardSession);
 

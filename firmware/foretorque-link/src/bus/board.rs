@@ -37,6 +37,8 @@ pub enum Wires {
 /// Role of a board and its drives, as they are written into its flash.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Wiring<const N: usize> {
+    /// Hash of the arm: zeros, signs and limits are those of its joints.
+    pub arm_hash: u32,
     /// Role.
     pub role: Role,
     /// Ports.
@@ -60,12 +62,12 @@ impl<const N: usize> Wiring<N> {
         postcard::to_slice_crc32(self, buffer, CRC.digest())
     }
 
-    /// The wiring in the flash; `None` for other bytes, another number of joints, or a drive whose profile contradicts
-    /// itself.
-    pub fn decode(bytes: &[u8]) -> Option<Self> {
+    /// The wiring in the flash; `None` for other bytes, another arm, or a drive whose profile contradicts itself.
+    pub fn decode<A: Arm<N, P>, const P: usize>(bytes: &[u8]) -> Option<Self> {
         let wiring: Self = postcard::from_bytes_crc32(bytes, CRC.digest()).ok()?;
+        let own = wiring.arm_hash == A::hash() && wiring.joints.len() == N;
         let mut drives = wiring.joints.iter().flatten();
-        let sound = wiring.joints.len() == N && drives.all(|joint| joint.drive.check().is_ok());
+        let sound = own && drives.all(|joint| joint.drive.check().is_ok());
         sound.then_some(wiring)
     }
 }
@@ -120,16 +122,31 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         }
     }
 
+    /// Torque limits of the drives, N × N·m; infinite for joints without a drive here.
+    pub fn torque_limits(&self) -> [f32; N] {
+        let limit = |joint: Option<&BusJoint>| {
+            joint.map_or(f32::INFINITY, |joint| joint.drive.torque_limit)
+        };
+        core::array::from_fn(|index| match &self.side {
+            Side::Master(drives) => limit(drives.joint(index)),
+            Side::InLine(line) => limit(line.joint(index)),
+        })
+    }
+
     /// A tick has run since the last call of [`follow`](Self::follow).
     pub fn ticked(&self) -> bool {
         self.ticked
     }
 
-    /// Lets the drives of a master damp where they follow. Called after each message of the host that leaves the torque off,
-    /// so that an end of the torque between two ticks is seen: the drives then start softly again.
-    pub fn damp(&mut self) {
+    /// Lets the drives of a master damp where they follow, or after an emergency stop switches them off. Called after each
+    /// message of the host that leaves the torque off, so that an end of the torque between two ticks is seen: the drives
+    /// then start softly again.
+    pub fn end<C: Clock>(&mut self, session: &Session<A, N, P, C>) {
         if let Side::Master(drives) = &mut self.side {
-            drives.damp();
+            match drives.damp() {
+                BusPhase::Damping(_) if session.stopped() => _ = drives.stop(),
+                _ => {}
+            }
         }
     }
 
@@ -191,6 +208,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
                 Ok(()) => {}
             },
             BusPhase::Enabling(_) if !enabled => _ = drives.stop(),
+            BusPhase::Running(_) | BusPhase::Damping(_) if session.stopped() => {
+                _ = drives.stop();
+            }
             _ => {}
         }
         if drives.phase() != BusPhase::Off || !enabled {
@@ -320,6 +340,11 @@ impl<const N: usize> LineMotion<N> {
         }
     }
 
+    fn joint(&self, index: usize) -> Option<&BusJoint> {
+        let slot = self.joints.get(index)?.as_ref()?;
+        Some(&slot.link.joint)
+    }
+
     /// Takes a frame from the host, port 0, or from the drives.
     fn receive(&mut self, port: u8, frame: &Frame) {
         for slot in self.joints.iter_mut().flatten() {
@@ -378,6 +403,25 @@ impl<const N: usize> LineMotion<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use foretorque::arm::ur5::Ur5;
+
+    #[test]
+    fn the_wiring_of_another_arm_is_none() {
+        let own = Ur5::hash();
+        for (arm_hash, read) in [(own, true), (own ^ 1, false)] {
+            let wiring = Wiring::<6> {
+                arm_hash,
+                role: Role::Master,
+                wires: Wires::Can,
+                bit_s: 1_000_000,
+                shortest_period_us: 0,
+                joints: [None; 6].into_iter().collect(),
+            };
+            let mut buffer = [0; Wiring::<6>::BYTES];
+            let bytes = wiring.encode(&mut buffer).unwrap();
+            assert_eq!(Wiring::<6>::decode::<Ur5, 40>(bytes).is_some(), read);
+        }
+    }
 
     #[test]
     fn the_filter_follows_a_parabola_without_lag_and_forgets_after_the_timeout() {

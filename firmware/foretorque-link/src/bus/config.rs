@@ -89,9 +89,7 @@ impl<const N: usize> BusConfig<N> {
     /// Limits of the arm, the torque tightened to the profile's.
     pub fn safety_limits<A: Arm<N, P>, const P: usize>(&self) -> SafetyLimits<N> {
         let mut limits = SafetyLimits::for_arm::<A, P>(micros(self.period_s));
-        for (torque, joint) in limits.torque.iter_mut().zip(&self.joints) {
-            *torque = torque.min(joint.drive.torque_limit);
-        }
+        limits.limit_torques(&self.joints.map(|joint| joint.drive.torque_limit));
         let ends = limits.lowest.iter_mut().zip(limits.highest.iter_mut());
         for ((lowest, highest), joint) in ends.zip(&self.joints) {
             *lowest -= joint.position_resolution();

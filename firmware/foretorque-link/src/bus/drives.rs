@@ -41,6 +41,8 @@ pub struct BusDrives<const N: usize> {
     steps: JointVector<N>,
     /// Admissible desired positions, N × rad.
     travel: [(f32, f32); N],
+    /// Admissible desired velocities, N × rad/s.
+    speed: [f32; N],
     /// Motion of the last command.
     desired: JointMotion<N>,
     /// Positions where drives without gains in their frames are held while they damp, N × rad.
@@ -66,6 +68,7 @@ impl<const N: usize> BusDrives<N> {
             period_s: 0.0,
             steps: JointVector::zeros(),
             travel: A::limits().map(|limits| limits.position),
+            speed: A::limits().map(|limits| limits.velocity),
             desired: JointMotion::zero(),
             held: JointVector::zeros(),
             strays: 0,
@@ -90,6 +93,11 @@ impl<const N: usize> BusDrives<N> {
     /// Fault that ended the torque, or prevented it; stands until [`clear`](Self::clear).
     pub fn fault(&self) -> Option<BusFault> {
         self.fault
+    }
+
+    pub(super) fn joint(&self, index: usize) -> Option<&BusJoint> {
+        let link = self.links.get(index)?.as_ref()?;
+        Some(&link.joint)
     }
 
     /// Counters of a joint.
@@ -331,13 +339,20 @@ impl<const N: usize> BusDrives<N> {
             let here = link.reply.position.unwrap_or_default();
             let mut hold = here;
             if let Some(held) = self.held.get_mut(index) {
-                let follows = armed && matches!(self.phase, BusPhase::Running(_));
-                if follows || self.phase == BusPhase::Off {
+                let moves = match self.phase {
+                    BusPhase::Off => true,
+                    // The arm may sag until the drive is on.
+                    BusPhase::Enabling(_) => link.is_off(),
+                    BusPhase::Running(_) => armed,
+                    BusPhase::Damping(_) => false,
+                };
+                if moves {
                     *held = here;
                 }
                 hold = *held;
             }
             let (low, high) = self.travel.get(index).copied().unwrap_or_default();
+            let speed = self.speed.get(index).copied().unwrap_or_default();
             let value = |vector: &JointVector<N>| vector.get(index).copied().unwrap_or_default();
             let resting = JointCommand {
                 position: if joint.drive.carries_gains() {
@@ -356,7 +371,7 @@ impl<const N: usize> BusDrives<N> {
                 }
                 BusPhase::Running(_) if armed => Some(JointCommand {
                     position: value(&self.desired.q).max(low).min(high),
-                    velocity: value(&self.desired.qd),
+                    velocity: value(&self.desired.qd).max(-speed).min(speed),
                     torque: value(torque),
                     kp: gains * joint.kp,
                     kd: gains * joint.kd,

@@ -74,8 +74,9 @@ struct Drives {
     /// ODrive: periods between two heartbeats, and periods so far.
     heartbeat: u32,
     periods: u32,
-    /// Positions and stiffness of the last commands.
+    /// Positions, velocities and stiffness of the last commands.
     position: [f32; 6],
+    velocity: [f32; 6],
     kp: [f32; 6],
     q: [f32; 6],
     torque: [f32; 6],
@@ -96,6 +97,7 @@ impl Drives {
             heartbeat: 1,
             periods: 0,
             position: [0.0; 6],
+            velocity: [0.0; 6],
             kp: [0.0; 6],
             q: [0.0; 6],
             torque: [0.0; 6],
@@ -171,6 +173,7 @@ impl Drives {
                     Request::Command(command) if *state == DriveState::Enabled => {
                         self.torque[j] = command.torque;
                         (self.position[j], self.kp[j]) = (command.position, command.kp);
+                        self.velocity[j] = command.velocity;
                         if command.kp > 0.0 {
                             self.q[j] = command.position;
                         }
@@ -289,6 +292,91 @@ fn a_stop_switches_every_drive_off_with_its_next_frame() {
 }
 
 #[test]
+fn a_stop_of_a_board_switches_every_drive_off_with_its_next_frame() {
+    for protocol in [ODRIVE, Protocol::Damiao(RANGES)] {
+        let mut board = Board::of(Role::Master, config_of(protocol));
+        board.rest(50, &[HostMessage::Arm]);
+        board.rest(100, &[]);
+        // While the drives follow, and while they damp.
+        for order in [HostMessage::Statistics, HostMessage::Disarm] {
+            board.rest(1, &[order]);
+            assert_eq!(board.drives.on(), [true; 6], "{protocol:?}");
+            board.rest(1, &[HostMessage::Stop]);
+            board.rest(1, &[]);
+            assert_eq!(board.drives.on(), [false; 6], "{protocol:?}");
+            board.rest(50, &[HostMessage::ClearFault, HostMessage::Arm]);
+            board.rest(100, &[]);
+            assert_eq!(board.state(), SafetyState::Armed);
+        }
+    }
+}
+
+/// The arm's own gravity needs more.
+#[test]
+fn a_board_keeps_the_torque_limits_of_its_drives_and_their_derating() {
+    let mut config = config();
+    config.joints[1].drive.torque_limit = 7.0;
+    let mut board = Board::of(Role::Master, config);
+    board.rest(50, &[HostMessage::Arm]);
+    board.rest(200, &[]);
+    let step = RANGES.torque / 2047.0;
+    for (celsius, most) in [(30.0, 7.0), (90.0, 3.5)] {
+        for _ in 0..100 {
+            let still = HostMessage::Sample(SampleFrame::new(&JointSample {
+                desired: JointMotion::zero(),
+                measured: None,
+            }));
+            board.period(&[still], |_, reply| {
+                reply.temperature = Some(celsius);
+                true
+            });
+        }
+        let torque = board.board.session.torque_output()[1].abs();
+        assert!((torque - most).abs() < 1e-3, "{celsius} °C: {torque}");
+        let sent = board.drives.torque[1].abs();
+        assert!((sent - torque).abs() <= step, "{celsius} °C: {sent}");
+    }
+}
+
+#[test]
+fn a_desired_velocity_beyond_the_arms_reaches_no_drive() {
+    let mut board = Board::new();
+    board.rest(50, &[HostMessage::Arm]);
+    board.rest(100, &[]);
+    let mut desired = JointMotion::<6>::zero();
+    desired.qd.fill(-25.0);
+    let sample = SampleFrame::new(&JointSample {
+        desired,
+        measured: None,
+    });
+    board.period(&[HostMessage::Sample(sample)], |_, _| true);
+    let limits = <Ur5 as Arm<6, 40>>::limits().map(|limits| limits.velocity);
+    for (sent, limit) in board.drives.velocity.iter().zip(limits) {
+        assert!((sent + limit).abs() < 0.02, "{sent} of {limit}");
+    }
+}
+
+#[test]
+fn an_arm_that_sags_while_its_drives_switch_on_is_held_where_it_is() {
+    /// Drives from `FIRST` on are off.
+    fn off<const FIRST: usize>(joint: usize, reply: &mut JointReply) -> bool {
+        if joint >= FIRST {
+            reply.state = Some(DriveState::Disabled);
+        }
+        true
+    }
+    let mut board = Board::of(Role::Master, config_of(ODRIVE));
+    board.rest(50, &[HostMessage::Arm]);
+    for _ in 0..100 {
+        board.rest_with(1, &[], off::<1>);
+        board.drives.q.iter_mut().for_each(|q| *q -= 1e-4);
+    }
+    board.rest_with(3, &[], off::<5>);
+    let held = board.drives.position[1];
+    assert!((held - board.drives.q[1]).abs() < 2e-4, "{held}");
+}
+
+#[test]
 fn a_fault_that_is_cleared_is_cleared_in_the_drive_too() {
     let mut drives = Drives::new();
     let mut controller = drives.started();
@@ -318,14 +406,17 @@ impl Board {
 
     fn of(role: Role, config: BusConfig<6>) -> Self {
         let wiring = Wiring {
+            arm_hash: <Ur5 as Arm<6, 40>>::hash(),
             role,
             wires: Wires::Can,
             bit_s: 1_000_000,
             shortest_period_us: 0,
             joints: config.joints.map(Some).into_iter().collect(),
         };
+        let mut board = session::Board::measuring(BoardDrives::new(&wiring));
+        board.session.limit_torques(board.sensor.torque_limits());
         Self {
-            board: session::Board::measuring(BoardDrives::new(&wiring)),
+            board,
             drives: Drives::of(config),
         }
     }
@@ -343,7 +434,7 @@ impl Board {
             if drives.ticked() {
                 drives.follow(session, false, |bus, frame| sent.push((bus, *frame)));
             } else if !session.torque_enabled() {
-                drives.damp();
+                drives.end(session);
             }
         };
         self.board.timer();
@@ -452,8 +543,7 @@ fn an_end_of_the_torque_between_two_ticks_starts_softly_again() {
     assert!((full - 300.0).abs() < 1.0, "{full}");
     let burst = [HostMessage::Stop, HostMessage::ClearFault, HostMessage::Arm];
     board.rest(1, &burst);
-    board.rest(1, &[]);
-    assert_eq!(board.drives.kp, [0.0; 6]);
+    board.drives.kp = [0.0; 6];
     let mut before = 0.0;
     for ms in 0..2000 {
         board.rest(1, &[]);

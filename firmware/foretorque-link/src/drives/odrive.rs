@@ -118,8 +118,8 @@ impl Codec<'_> {
             }
             command::TORQUES => reply.torque = finite(second),
             command::TEMPERATURE => {
-                let highest = if first > second { first } else { second };
-                reply.temperature = finite(highest);
+                // Of a motor without a sensor it is no number.
+                reply.temperature = finite(first.max(second));
             }
             command::HEARTBEAT => {
                 let [error @ .., state, _, _, _] = data;

@@ -297,6 +297,20 @@ fn a_finite_number_of_turns_is_no_infinite_angle() {
 }
 
 #[test]
+fn a_motor_without_a_sensor_hides_no_heat_of_its_drive() {
+    let profile = profile(odrive(ControlMode::Velocity));
+    for pair in [[105.0_f32, f32::NAN], [f32::NAN, 105.0], [105.0, 40.0]] {
+        let data = pair.map(f32::to_le_bytes).concat();
+        let read = profile.decode(&Frame::standard(3 << 5 | 0x15, &data));
+        let reply = JointReply {
+            temperature: Some(105.0),
+            ..JointReply::default()
+        };
+        assert_eq!(read, Some(Event::Reply(reply)), "{pair:?}");
+    }
+}
+
+#[test]
 fn lines_of_text_come_back() {
     let bytes = [1, 0, 10, 7, 32, 0x88, 0x13, 0xa0, 0x0f, 0x7d, 0, 0x17, 1];
     let command = Frame::extended(0x8001, &bytes);

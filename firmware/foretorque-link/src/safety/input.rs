@@ -87,14 +87,14 @@ impl<const N: usize> InputState<N> {
         self.since_sample == 0
     }
 
-    /// Takes one period of time: the samples age.
-    pub(super) fn age(&mut self, limits: &SafetyLimits<N>) {
+    /// Takes periods of time: the samples age.
+    pub(super) fn age(&mut self, limits: &SafetyLimits<N>, periods: u32) {
         for age in [
             &mut self.since_usable,
             &mut self.since_sample,
             &mut self.since_measured,
         ] {
-            *age = age.saturating_add(1);
+            *age = age.saturating_add(periods);
         }
         if self.timed_out(limits) {
             self.good_samples = 0;

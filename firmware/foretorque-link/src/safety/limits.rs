@@ -68,6 +68,13 @@ impl<const N: usize> SafetyLimits<N> {
         }
     }
 
+    /// Lowers the torques to `most`, N × N·m.
+    pub fn limit_torques(&mut self, most: &[f32; N]) {
+        for (torque, &most) in self.torque.iter_mut().zip(most) {
+            *torque = if most < *torque { most } else { *torque };
+        }
+    }
+
     /// These limits for ticks of `period_us`, µs, with brakes that close within `close_us`, µs; 0 is without brakes.
     pub fn with_brake(self, close_us: u32, period_us: u32) -> Self {
         Self {
@@ -120,8 +127,8 @@ impl<const N: usize> ThermalDerating<N> {
 
     /// Takes one period of time. A motor without a reading for `overdue` to twice as many periods counts as warm, unless
     /// its temperature was never known.
-    pub(super) fn age(&mut self, overdue: u32) {
-        self.periods += 1;
+    pub(super) fn age(&mut self, overdue: u32, periods: u32) {
+        self.periods = self.periods.saturating_add(periods);
         if self.periods < overdue {
             return;
         }
@@ -214,7 +221,7 @@ mod tests {
             if k < 10 {
                 derating.record(1, 40);
             }
-            derating.age(10);
+            derating.age(10, 1);
             assert_eq!(derating.warm(), k >= 19, "period {k}");
         }
         assert_eq!([0, 1, 2].map(|j| derating.factor(j)), [1.0, 0.75, 1.0]);

@@ -132,6 +132,11 @@ impl<const N: usize> Safety<N> {
         matches!(self.state, SafetyState::Armed | SafetyState::RampDown)
     }
 
+    /// The torque has ended last by an emergency stop.
+    pub fn stopped(&self) -> bool {
+        self.ended == SafetyReason::Stopped
+    }
+
     /// Torque zero and none to come: parameters may be written.
     pub fn at_rest(&self) -> bool {
         !self.enabled()
@@ -160,10 +165,19 @@ impl<const N: usize> Safety<N> {
     /// Takes one period of the board's own time: the input ages, and the torque may change by one more slew step.
     pub fn period(&mut self) {
         self.slewed_from = self.output;
-        self.input.age(&self.limits);
-        self.derating.age(self.limits.temperature_ticks);
+        self.pass(1);
+    }
+
+    /// Takes periods of the board's own time in which nothing ran: the input ages, the torque may change no more than before.
+    pub fn miss(&mut self, periods: u32) {
+        self.pass(periods);
+    }
+
+    fn pass(&mut self, periods: u32) {
+        self.input.age(&self.limits, periods);
+        self.derating.age(self.limits.temperature_ticks, periods);
         if self.state == SafetyState::RampDown {
-            self.braking = self.braking.saturating_sub(1);
+            self.braking = self.braking.saturating_sub(periods);
         }
     }
 

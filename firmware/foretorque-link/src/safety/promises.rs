@@ -17,6 +17,8 @@ pub enum Broken {
     Permission,
     /// A board that has left `Armed` returns there only by another `Arm`.
     Rearmed,
+    /// An emergency stop ends torque and enable at once.
+    Stop,
     /// The torque ends one time-out after the last usable sample, ± 1 period.
     TimeOut,
     /// The torque begins to fall 10 ms after the last usable sample.
@@ -71,7 +73,7 @@ impl<const N: usize> Promises<N> {
         (self.permitted, self.may_be_armed) = (true, true);
     }
 
-    /// A stop has arrived: the torque may end at once, also where another fault was latched before.
+    /// A stop has arrived: torque and enable are off at the next check, also where another fault was latched before.
     pub fn stop(&mut self) {
         self.stopped = true;
     }
@@ -116,7 +118,9 @@ impl<const N: usize> Promises<N> {
             let step = (torque - of(&self.slewed_from, j)).abs();
             step <= 1.0001 * of(&self.limits.slew_per_tick, j)
         });
-        let at_once = core::mem::take(&mut self.stopped)
+        let stop = core::mem::take(&mut self.stopped);
+        holds(!stop || off && !enabled, Broken::Stop)?;
+        let at_once = stop
             || matches!(
                 reason,
                 SafetyReason::Stopped | SafetyReason::Drive | SafetyReason::Stage
@@ -134,8 +138,11 @@ impl<const N: usize> Promises<N> {
         self.may_be_armed &= armed;
         self.torque = *torque;
         let sum: f32 = torque.iter().map(|torque| torque.abs()).sum();
+        if used {
+            self.silent = 0;
+        }
         if used || !enabled {
-            (self.silent, self.held) = (0, sum);
+            self.held = sum;
         }
         if state != SafetyState::RampDown {
             self.ending = 0;
@@ -145,9 +152,8 @@ impl<const N: usize> Promises<N> {
         holds(self.ending <= end, Broken::End)?;
         let timeout = self.limits.timeout_ticks;
         let left = before == SafetyState::Armed && !armed;
-        let early = left && reason == SafetyReason::CommandTimeout && enabled;
+        let early = left && reason == SafetyReason::CommandTimeout && self.silent + 1 < timeout;
         let late = armed && self.silent > timeout;
-        let early = early && self.silent + 1 < timeout;
         holds(!late && !early, Broken::TimeOut)?;
         let falls = self.limits.brake_ticks > 0 || off || sum < self.held;
         holds(

@@ -174,7 +174,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                     }
                 }
                 let state = controller.feed_forward.state();
-                // The learner's bounds lie around the loaded set: with a key, around a signed one for ever.
+                // With a key, learning starts at a signed set after every start.
                 let set = match board.write_key {
                     Some(_) => state.loaded(),
                     None => state.committed(),

@@ -287,6 +287,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             let wrote = matches!(order, Order::Save);
             let store = &mut self.protocol.counters.store;
             *store = store.after::<()>(wrote, &stored);
+            if wrote {
+                // Time stands still during an erase: the samples of before it are too old.
+                let age = self.controller.safety.limits().timeout_ticks;
+                self.controller.miss(age);
+            }
         }
         let controller = &mut self.controller;
         let done = outcome.and_then(|()| match order {

@@ -87,6 +87,16 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         }
     }
 
+    /// Lowers the torque limits to those of the board's drives, N × N·m, for good; before the first sample.
+    pub fn limit_torques(&mut self, limits: [f32; N]) {
+        self.controller.limit_torques(limits);
+    }
+
+    /// The torque has ended last by an emergency stop.
+    pub fn stopped(&self) -> bool {
+        self.controller.safety.stopped()
+    }
+
     /// Period, pacing and reply mode; the owner sets the timer by it.
     pub fn configuration(&self) -> Configuration {
         self.controller.configuration
@@ -161,10 +171,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.reboot
     }
 
-    /// Counts a missed deadline or a receive overrun of the link.
-    pub fn note_overrun(&mut self) {
+    /// Counts receive overruns of the link.
+    pub fn note_overruns(&mut self, count: u32) {
         let overruns = &mut self.protocol.counters.overruns;
-        *overruns = overruns.saturating_add(1);
+        *overruns = overruns.saturating_add(count);
+    }
+
+    /// Takes periods of the board's timer without a [`timer_tick`](Self::timer_tick), because a task before it took too long.
+    /// They count as overruns, and the samples age by them.
+    pub fn note_missed(&mut self, periods: u32) {
+        self.note_overruns(periods);
+        self.controller.miss(periods);
     }
 
     /// Counts a reply for which the link had no space.

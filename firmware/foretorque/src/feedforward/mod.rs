@@ -212,6 +212,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
         *pause(&self.config, &mut self.state)
     }
 
+    /// Takes periods in which neither tick nor pause ran: they count for the time for which a torque without samples is held.
+    pub fn miss(&mut self, periods: u32) {
+        self.state.stale_ticks = self.state.stale_ticks.saturating_add(periods);
+    }
+
     /// Learning sample of the tick that has just run; to be called once after every step.
     pub fn learning_sample(&self, measured: Option<JointMeasurement<N>>) -> LearningSample<N> {
         LearningSample {

@@ -55,7 +55,8 @@ mod proof {
             session.timer_tick(&mut mailboxes, &mut out, &mut NoLocalSensor);
             housekeeping.work(&mut mailboxes.parameters);
             session.poll_parameters(&mut mailboxes, &mut out);
-            session.note_overrun();
+            session.note_overruns(1);
+            session.note_missed(1);
             session.send_hello(&mut out);
             // The learner as the board runs it, and as the other owners do.
             while let Some(sample) = mailboxes.learner.begin(&mut learner) {

@@ -187,7 +187,8 @@ impl<const N: usize> Bench<N> {
             let mass = share * rated;
             let found = learnt.weighed.iter();
             let errors = found.map(|found| 100.0 * (found / mass - 1.0).abs());
-            let worst = errors.fold(0.0, f64::max);
+            // Where none was weighed, none was found.
+            let worst = errors.reduce(f64::max).unwrap_or(100.0);
             put("payload_mass_error_worst_percent", worst);
         }
         if scenario.against_batch {

@@ -154,6 +154,7 @@ impl Profile {
             busy_s[usize::from(joint.bus)] += frames_s(&joint.drive, &rates);
         }
         Ok(Wiring {
+            arm_hash: A::hash(),
             role,
             wires,
             bit_s: rates.nominal as u32,

@@ -100,9 +100,13 @@ impl Twin {
     fn new(wiring: &Wiring<JOINTS>) -> Self {
         let profiles = std::array::from_fn(|j| wiring.joints[j].map(|joint| joint.drive));
         let in_line = wiring.role == Role::InLine;
+        let drives = Drives::new(wiring);
+        let limits = drives.torque_limits();
+        let mut board =
+            Native::described(BoardDescription::plain(NoClock), drives).expect("usable limits");
+        board.session.limit_torques(limits);
         Self {
-            board: Native::described(BoardDescription::plain(NoClock), Drives::new(wiring))
-                .expect("usable limits"),
+            board,
             in_line: in_line.then(|| InLine::new(profiles, EXPIRY)),
             now: 0,
             left: Vec::new(),
@@ -120,7 +124,7 @@ impl FrameBoard for Twin {
         let (session, drives) = (&mut self.board.session, &mut self.board.sensor);
         if !drives.ticked() {
             if !session.torque_enabled() {
-                drives.damp();
+                drives.end(session);
                 self.in_line.iter_mut().for_each(InLine::clear);
             }
             return Ok(());

@@ -72,6 +72,7 @@ pub struct Tick<B: Board> {
     brake_open: bool,
     kept: SafetyReason,
     losses: u32,
+    missed: u32,
     bound: FrameBound,
     latency: CostMeter,
 }
@@ -88,11 +89,7 @@ impl<B: Board> Tick<B> {
         session.note_line(link::receive_cost(), self.latency.cost());
         session.note_feeds(watchdog::feeds());
         // Losses below the frames since the last tick. Counters wrap; only their difference counts.
-        let now = link::losses().wrapping_add(tick_timer::missed());
-        while self.losses != now {
-            self.losses = self.losses.wrapping_add(1);
-            session.note_overrun();
-        }
+        session.note_overruns(newly(&mut self.losses, link::losses()));
         TICKS.store(session.feed_forward().state().tick, Ordering::Relaxed);
         TICKED.store(true, Ordering::Relaxed);
         TASKS.check_in(Task::Tick);
@@ -105,6 +102,9 @@ impl<B: Board> Tick<B> {
     fn run_locked(&mut self, mailboxes: &mut BoardMailboxes) {
         self.drive.watch(self.session);
         if tick_timer::take_due() {
+            // Time that passed before this period.
+            let missed = newly(&mut self.missed, tick_timer::missed());
+            self.session.note_missed(missed);
             self.bound.refill(self.session.configuration().period_us);
             self.session
                 .timer_tick(mailboxes, self.out, &mut self.drive);
@@ -158,6 +158,11 @@ impl<B: Board> Tick<B> {
         }
         self.out.clear();
     }
+}
+
+/// Counts since the last call.
+fn newly(before: &mut u32, now: u32) -> u32 {
+    now.wrapping_sub(core::mem::replace(before, now))
 }
 
 /// The learner's task: uses every learning sample that waits.

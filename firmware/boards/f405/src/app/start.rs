@@ -138,6 +138,7 @@ pub fn start<B: Board>(
     let Ok(session) = BoardSession::init_in_place(&mut statics.session, description) else {
         fault::leave::<B>(Reason::Setup, line!());
     };
+    drive.limit(session);
     let mailboxes = statics.mailboxes.write(BoardMailboxes::default());
     let housekeeping = &mut statics.housekeeping;
     housekeeping.start(Some(Store::new(StoreFlash::new(Registers(chip.FLASH)))));
@@ -186,6 +187,7 @@ pub fn start<B: Board>(
         brake_open: false,
         kept,
         losses: 0,
+        missed: 0,
         bound: FrameBound::default(),
         latency: CostMeter::default(),
     };

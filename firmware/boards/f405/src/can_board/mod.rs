@@ -185,6 +185,12 @@ impl Drive for BusDrive {
         self.shortest_period_us
     }
 
+    fn limit(&self, session: &mut BoardSession) {
+        if let Some(drives) = &self.drives {
+            session.limit_torques(drives.torque_limits());
+        }
+    }
+
     fn watch(&mut self, _: &mut BoardSession) {
         for _ in 0..ARRIVED {
             let Some((port, frame)) = self.arrived.take() else {
@@ -213,7 +219,7 @@ impl Drive for BusDrive {
         if !drives.ticked() {
             // A stop does not wait for the next tick.
             if !on {
-                drives.damp();
+                drives.end(session);
                 give(Order::Add(None));
             }
             return;
@@ -239,7 +245,7 @@ fn wiring() -> Option<Wiring<JOINTS>> {
     }
     // SAFETY: the address is in the flash, aligned for bytes, and never changes while the firmware runs. Volatile, because
     // the compiler has no part in what is there.
-    Wiring::decode(&unsafe { (&raw const _wiring).read_volatile() })
+    Wiring::decode::<Arm, PARAMETERS>(&unsafe { (&raw const _wiring).read_volatile() })
 }
 
 /// The board.

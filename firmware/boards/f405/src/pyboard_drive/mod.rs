@@ -173,11 +173,11 @@ impl Drive for StageAndEncoder {
             (seen, LOGGED.borrow(token).replace(seen))
         });
         if let Some(error) = seen.stage.filter(|_| seen.stage != logged.stage) {
-            defmt::error!("stage: {=str}", error.text());
+            defmt::error!("stage: {}", error);
         }
         match seen.encoder {
             error if error == logged.encoder => {}
-            Some(error) => defmt::warn!("encoder: {=str}", error.text()),
+            Some(error) => defmt::warn!("encoder: {}", error),
             None => defmt::info!("encoder: a position"),
         }
     }

@@ -80,6 +80,8 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     pub(super) gains: [f32; N],
     /// Limits of the bank in force.
     bounds: [JointBounds; N],
+    /// Limits of the drives, N × N·m; infinite where the board has none.
+    drive_limits: [f32; N],
     /// Deviations of the bank in force, from which learning starts.
     start: StartDeviations<N, P>,
     /// The newest sample that no tick has used yet.
@@ -117,6 +119,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             player: Player::new::<A, P>(configuration.period_us),
             gains: [0.0; N],
             bounds: JointBounds::widest::<A, N, P>(),
+            drive_limits: [f32::INFINITY; N],
             start: StartDeviations::PRIOR,
             newest: None,
             desired: None,
@@ -208,6 +211,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.feed_forward
             .applied_within_limits(self.safety.output());
         None
+    }
+
+    /// Takes periods of the timer in which nothing ran: the input ages, and a torque without samples is held less long.
+    pub(super) fn miss(&mut self, periods: u32) {
+        self.safety.miss(periods);
+        self.feed_forward.miss(periods);
     }
 
     /// Runs the ticks whose samples were lost, as a timer would have: for the learner they are ticks without a

@@ -1,7 +1,7 @@
 //! Commands that change parameters and states. One that fails has changed nothing.
 
 use super::{Controller, SampleGaps, TickCounters};
-use crate::bank::{BankError, Parameters, feed_forward_config};
+use crate::bank::{BankError, JointBounds, Parameters, feed_forward_config};
 use crate::excitation::{
     ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState, Player,
 };
@@ -9,7 +9,7 @@ use crate::safety::{SafetyLimits, SafetyReason};
 use crate::session::{LearnerMailbox, seconds};
 use crate::wire::{Configuration, EvaluatedFrame, MotionFrame, NackReason, SampleFrame};
 use foretorque::arm::Arm;
-use foretorque::feedforward::evaluate;
+use foretorque::feedforward::{FeedForwardConfig, evaluate};
 use foretorque::joint::JointMotion;
 use foretorque::learning::{ParameterSet, Request};
 
@@ -95,7 +95,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         mailbox: &mut LearnerMailbox<N, P>,
     ) -> Result<(), NackReason> {
         let period_s = seconds(&configuration);
-        let config = feed_forward_config::<A, N, P>(&self.bounds, period_s);
+        let config = self.config_of(&self.bounds, period_s);
         self.feed_forward
             .restart(config.map_err(NackReason::Bank)?, set)
             .map_err(|_| NackReason::Period)?;
@@ -105,7 +105,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         }
         self.configuration = configuration;
         self.player = Player::new::<A, P>(configuration.period_us);
-        let limits = SafetyLimits::for_arm::<A, P>(configuration.period_us);
+        let limits = self.safety_limits(configuration.period_us);
         let close_us = 1000 * u32::from(configuration.brake_close_ms);
         self.safety
             .restart(limits.with_brake(close_us, configuration.period_us));
@@ -125,7 +125,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     ) -> Result<(), NackReason> {
         self.writable()?;
         let period_s = seconds(&self.configuration);
-        let config = feed_forward_config::<A, N, P>(&parameters.bounds, period_s);
+        let config = self.config_of(&parameters.bounds, period_s);
         self.feed_forward
             .configure(config.map_err(NackReason::Bank)?)
             .map_err(|_| NackReason::Bank(BankError::Limit(0)))?;
@@ -134,6 +134,39 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         (self.gains, self.bounds) = (parameters.gains, parameters.bounds);
         self.start = parameters.start;
         Ok(())
+    }
+
+    /// Lowers the torque limits to those of the drives, N × N·m, for good; where no tick can work with them, a fault is latched.
+    pub(in crate::session) fn limit_torques(&mut self, limits: [f32; N]) {
+        self.drive_limits = limits;
+        let period_us = self.configuration.period_us;
+        self.safety.restart(self.safety_limits(period_us));
+        let config = self.config_of(&self.bounds, seconds(&self.configuration));
+        if !config.is_ok_and(|config| self.feed_forward.configure(config).is_ok()) {
+            self.safety.trip(SafetyReason::Drive);
+        }
+    }
+
+    /// Limits of the tick: the lower of the parameters' and the drives'.
+    fn config_of(
+        &self,
+        bounds: &[JointBounds; N],
+        period_s: f32,
+    ) -> Result<FeedForwardConfig<N>, BankError> {
+        let mut config = feed_forward_config::<A, N, P>(bounds, period_s)?;
+        for (joint, &limit) in self.drive_limits.iter().enumerate() {
+            if limit < config.limits[joint].torque {
+                config.limit_torque(joint, limit);
+            }
+        }
+        Ok(config)
+    }
+
+    /// Hard limits: the lower of the arm's and the drives'.
+    fn safety_limits(&self, period_us: u32) -> SafetyLimits<N> {
+        let mut limits = SafetyLimits::for_arm::<A, P>(period_us);
+        limits.limit_torques(&self.drive_limits);
+        limits
     }
 
     /// Shares of the active set for one motion, without state.

@@ -178,13 +178,17 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
     }
     board.acknowledged(HostMessage::Learning { on: false });
     assert_eq!(finished(&mut board), [(4, ACK)]);
+    // An erase takes two seconds, in which no sample came.
+    let refused = board.request(HostMessage::Arm);
+    assert_eq!(refused, nack(NackReason::Unsafe(SafetyReason::NoSample)));
+    board.samples_to_arm();
     let source = BankSource::Live;
     started(HostMessage::BankRead { source, offset: 0 }, &mut board);
     board.acknowledged(HostMessage::Arm);
     board.sample(0);
     assert!(matches!(
         finished(&mut board)[..],
-        [(12, BoardMessage::BankChunk { offset: 0, .. })]
+        [(16, BoardMessage::BankChunk { offset: 0, .. })]
     ));
 }
 

@@ -43,7 +43,7 @@ fn counters_count_and_a_reset_clears_them() {
     let mut bad = sample(0);
     bad.measured.as_mut().unwrap().tau[5] = 90.0;
     for _ in 0..3 {
-        board.session.note_overrun();
+        board.session.note_overruns(1);
         board.session.note_reply_lost();
         board.timer();
         board.send(&HostMessage::Sample(SampleFrame::new(&bad)));

@@ -79,6 +79,9 @@ impl Timeline {
 
     fn request(&mut self, message: HostMessage<N>) -> BoardMessage<N> {
         let arms = message == HostMessage::Arm;
+        if message == HostMessage::Stop {
+            self.promises.stop();
+        }
         let reply = self.board.request(message);
         if arms && reply == ACK {
             self.promises.permit();
@@ -181,6 +184,28 @@ fn m1_a_silent_host_loses_its_torque_equally_fast_in_both_pacings() {
         assert!((11..=12).contains(&falls), "{context}");
         assert!(ends > falls && ends <= 33, "{context}");
         assert!((50..=51).contains(&leaves), "{context}");
+    }
+}
+
+/// A task that takes too long costs the timer periods, and not the samples their age.
+#[test]
+fn periods_that_the_board_misses_count_for_the_time_out() {
+    for pacing in PACINGS {
+        let mut timeline = Timeline::armed(pacing);
+        let misses = |timeline: &mut Timeline| {
+            (0..4).for_each(|_| timeline.promises.period());
+            timeline.board.session.note_missed(4);
+            timeline.silence();
+            timeline.state() != SafetyState::Armed
+        };
+        let rounds = (1..60).find(|_| misses(&mut timeline)).unwrap();
+        // 50 or 51 ms, in rounds of 5.
+        assert!((10..=11).contains(&rounds), "{pacing:?}: {rounds}");
+        assert_eq!(
+            timeline.board.statistics().overruns,
+            4 * rounds,
+            "{pacing:?}"
+        );
     }
 }
 
