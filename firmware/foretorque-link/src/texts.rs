@@ -71,10 +71,11 @@ macro_rules! described_errors {
         }
 
         #[cfg(feature = "defmt")]
-        impl defmt::Format for $name {
-            fn format(&self, f: defmt::Formatter<'_>) {
+        impl $name {
+            /// Description without the payload, for a log.
+            pub fn interned(self) -> defmt::Str {
                 match self {
-                    $(Self::$variant { .. } => defmt::write!(f, $text),)*
+                    $(Self::$variant { .. } => defmt::intern!($text),)*
                 }
             }
         }

@@ -109,6 +109,7 @@ impl Messages {
         let width = match parameter.ty {
             Type::Format => return self.nested(values),
             Type::Str => return Ok(values.text()),
+            Type::IStr => return self.interned(values),
             Type::Bool => return Ok(values.number(1).map(|bit| (bit != 0).to_string())),
             Type::F32 => {
                 let bits = values.number(4);
@@ -124,6 +125,13 @@ impl Messages {
             true => format!("{number:#x}"),
             false => number.to_string(),
         }))
+    }
+
+    /// A text that the firmware names by its index.
+    fn interned(&self, values: &mut Values<'_>) -> Result<Option<String>, Refusal> {
+        let index = values.number(2).map(|index| index as u16);
+        let message = index.map(|index| self.message(index)).transpose()?;
+        Ok(message.map(|message| message.text.clone()))
     }
 
     /// A value that brings its own message: of an enum the variants, with a bar between them.
@@ -185,6 +193,8 @@ mod tests {
             (1, "defmt_info", "boot {} at {=u32:#x}, {=str}{=bool}"),
             (2, "defmt_derived", "Crystal|Bare({=u8})"),
             (3, "defmt_derived", pair),
+            (4, "defmt_str", "no {brace} matters"),
+            (5, "defmt_warn", "{=istr}"),
         ];
         Messages(all.map(message).into())
     }
@@ -204,13 +214,21 @@ mod tests {
         let pair = [3, 0, 5, 0];
         let line = "derived: Pair { first: 5, again: 5 }";
         assert_eq!(messages().lines(&stream(&pair)), Ok(vec![line.to_owned()]));
+        let interned = messages().lines(&stream(&[5, 0, 4, 0]));
+        assert_eq!(interned, Ok(vec!["warn: no {brace} matters".to_owned()]));
     }
 
     #[test]
     fn what_is_no_log_of_the_firmware_is_refused() {
         let unknown = messages().lines(&stream(&[9, 0])).expect_err("no message");
         assert!(unknown.0.ends_with("no message 9"), "{unknown}");
-        for short in [&[1, 0][..], &[1, 0, 2], &[1, 0, 2, 0, 5, 1], &[3, 0, 5]] {
+        for short in [
+            &[1, 0][..],
+            &[1, 0, 2],
+            &[1, 0, 2, 0, 5, 1],
+            &[3, 0, 5],
+            &[5, 0, 4],
+        ] {
             let error = messages().line(0, short).expect_err("too short");
             let message = "the log gives no values for";
             assert!(error.0.starts_with(message), "{error}");

@@ -173,11 +173,11 @@ impl Drive for StageAndEncoder {
             (seen, LOGGED.borrow(token).replace(seen))
         });
         if let Some(error) = seen.stage.filter(|_| seen.stage != logged.stage) {
-            defmt::error!("stage: {}", error);
+            defmt::error!("stage: {=istr}", error.interned());
         }
         match seen.encoder {
             error if error == logged.encoder => {}
-            Some(error) => defmt::warn!("encoder: {}", error),
+            Some(error) => defmt::warn!("encoder: {=istr}", error.interned()),
             None => defmt::info!("encoder: a position"),
         }
     }
