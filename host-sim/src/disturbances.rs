@@ -52,7 +52,7 @@ pub(super) struct FaultArguments {
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     not_a_number: f64,
     /// Share of reports that are lost: in no log, and the board has none in that tick
-    #[arg(long, default_value_t = 0.0, value_parser = share)]
+    #[arg(long, default_value_t = 0.0, value_parser = part)]
     lost: f64,
     /// Share of reports that are late: the one before comes in their place
     #[arg(long, default_value_t = 0.0, value_parser = share)]
@@ -64,6 +64,15 @@ pub(super) struct FaultArguments {
 struct During<T> {
     what: T,
     time_s: Range<f64>,
+}
+
+/// A share that leaves something.
+fn part(text: &str) -> Result<f64, String> {
+    fitting(
+        text,
+        |value| (0.0..1.0).contains(&value),
+        "must lie between 0 and 1, and below 1",
+    )
 }
 
 /// A growth that leaves something of what grows.

@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     #[arg(long, default_value = "80")]
     iterations: NonZeroUsize,
     /// Period of the fundamental, s; at most 1000
-    #[arg(long, default_value_t = 10.0, value_parser = period)]
+    #[arg(long, default_value_t = 10.0, value_parser = period, conflicts_with = "improve")]
     period_s: f64,
     /// Range of every joint around zero, rad, on top of the description's
     #[arg(long, default_value_t = std::f64::consts::PI, value_parser = positive)]
@@ -95,6 +95,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         files.chain(arguments.improve.clone()),
         within(&arguments.out, &RESULTS),
     )?;
+    let has_limit = arguments.condition_limit.is_some();
+    if has_limit && !matches!(arguments.criterion, CriterionName::Constrained) {
+        bail!("--condition-limit belongs to --criterion constrained");
+    }
     let mut robot = with_rotors(&arguments.robot.load_coupled()?)?;
     let solid = robot.joints.iter().any(|joint| !joint.capsules.is_empty());
     let unchecked = match robot.coupling {
@@ -140,6 +144,15 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         bar.show("excitation", done, all);
     })?;
     drop(bar);
+    let certificate = excitation.certificate.iter();
+    let errors = certificate.flat_map(|certificate| &certificate.predicted_error_of_limit);
+    let worst = errors.copied().fold(0.0, f64::max);
+    if worst > 1.0 {
+        bail!(
+            "no path of {} s shows the parameters: the torque that they predict would be off by {worst:.1} times its limit: a longer --period-s, more --starts, or a wider range",
+            config.period_s
+        );
+    }
     write(&excitation, &arguments.out)?;
     put_json(&mut json, &excitation)?;
     json.finish()?;

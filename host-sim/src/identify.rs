@@ -3,7 +3,7 @@ use super::logs::{LogOptions, check_distinct, show_check};
 use super::terminal::{Lines, show};
 use super::{Failure, bail, excite, not_negative, not_over, positive, sound, within};
 use clap::Args;
-use foretorque_link::bank::ParameterBank;
+use foretorque_link::bank::{BankError, ParameterBank};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{remove_stale, write_whole};
@@ -170,7 +170,11 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     }
     let fold_period_s = fold_period_s(arguments, robot)?;
     let logs = [&arguments.logs, &arguments.validate, &arguments.test];
-    let logs: Vec<&Path> = logs.into_iter().flatten().map(PathBuf::as_path).collect();
+    // The data check judges the training logs alone.
+    let logs = logs
+        .into_iter()
+        .take(if arguments.data_check { 1 } else { 3 });
+    let logs: Vec<&Path> = logs.flatten().map(PathBuf::as_path).collect();
     let rows = PrepareConfig::for_logs(&logs, robot)?;
     let methods = match &arguments.methods[..] {
         [] => METHODS.iter().map(|(method, _)| *method).collect(),
@@ -197,14 +201,18 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
     })
 }
 
-fn bank(robot: &Robot, outcome: &Outcome) -> Option<ParameterBank> {
+/// The bank of a fit; `None` where none holds it.
+///
+/// Errors: the reason for which boards refuse it.
+fn bank(robot: &Robot, outcome: &Outcome) -> Result<Option<ParameterBank>, BankError> {
     if robot.coupling.is_some() {
-        return None;
+        return Ok(None);
     }
     arms!(robot, N, P => {
-        Described::<N, P>::read(robot)?;
-        bank_of_fit::<Described<N, P>, N, P>(robot, outcome)
-    }, else None)
+        let bank = Described::<N, P>::read(robot).and_then(|_| bank_of_fit::<Described<N, P>, N, P>(robot, outcome));
+        let checked = bank.as_ref().map(|bank| bank.parameters::<Described<N, P>, N, P>());
+        checked.transpose().map(|_| bank)
+    }, else Ok(None))
 }
 
 fn identify_arm(
@@ -258,11 +266,21 @@ fn identify_arm(
     report.findings.extend(findings);
     report.data_check = Some(judgement);
     report.findings.extend(unexplained(report));
+    let bank = bank(robot, &outcome).unwrap_or_else(|error| {
+        let text = format!("boards refuse the fitted parameters: {error}");
+        let finding = Finding {
+            refuses: true,
+            text,
+        };
+        outcome.report.findings.push(finding);
+        None
+    });
+    let report = &mut outcome.report;
     report.findings.sort_by_key(|finding| !finding.refuses);
     let report = &outcome.report;
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
-    let bank = refused.map_or_else(|| bank(robot, &outcome), |_| None);
+    let bank = bank.filter(|_| refused.is_none());
     let [_, _, made @ ..] = RESULTS;
     let stays = within(out, &made).any(|file| file.exists());
     let described = outcome.robot.as_ref();

@@ -1,7 +1,7 @@
 use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::simulate::PERIOD_S;
-use super::terminal::Bar;
+use super::terminal::{Bar, show};
 use super::{Failure, bail, bank, not_over, unsupported};
 use clap::Args;
 use foretorque::arm::Arm;
@@ -58,6 +58,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     on_arm!(robot, A, N, P => torque::<A, N, P>(arguments, robot))
 }
 
+/// Positions this many times their limits are in other units.
+const BEYOND: f64 = 3.0;
+
 /// Times, s, and states one after the other, from a table or a trajectory.
 type States<const N: usize> = Box<dyn Iterator<Item = Result<(Option<f64>, State<N>), TableError>>>;
 
@@ -84,6 +87,7 @@ impl Arguments {
     /// Errors: those of `torques`; a torque that is not finite; no rows; the file system's.
     fn write<const N: usize, T: ToString>(
         &self,
+        robot: &Robot,
         (timed, states): (bool, States<N>),
         shares: &[&str],
         mut torques: impl FnMut(&State<N>) -> Result<Option<Vec<T>>, Failure>,
@@ -93,9 +97,13 @@ impl Arguments {
         header.extend(columns.flat_map(|share| joint_columns(share, "nm", N)));
         let mut table = TableWriter::create(&self.out, &header)?;
         let (bar, mut rows) = (Bar::new(), 0);
+        let mut farthest = [0.0_f64; N];
         for state in states {
             let (t_s, state) = state?;
             rows += 1;
+            for (farthest, q) in farthest.iter_mut().zip(&state.q) {
+                *farthest = farthest.max(q.abs());
+            }
             let Some(torques) = torques(&state)? else {
                 bail!("state {rows}: its torque is not a number: are these rad, rad/s and rad/s²?");
             };
@@ -108,7 +116,16 @@ impl Arguments {
         if let (0, Some(path)) = (rows, &self.input) {
             return Err(TableError::empty(path).into());
         }
-        Ok(table.finish()?)
+        table.finish()?;
+        for (number, (joint, farthest)) in (1..).zip(robot.joints.iter().zip(farthest)) {
+            let (low, high) = joint.limits.position;
+            if farthest > BEYOND * low.abs().max(high.abs()) {
+                show!(
+                    "note  q{number} reaches {farthest:.3} rad, its range is {low:.3} … {high:.3} rad: are these degrees?"
+                )?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -119,7 +136,7 @@ fn coupled<const N: usize>(arguments: &Arguments, robot: &Robot) -> Result<(), F
     }
     let model = RigidBodies::new(robot);
     let (states, shares) = (arguments.states::<N>(robot)?, ["tau", "rigid", "friction"]);
-    arguments.write(states, &shares, |motion| {
+    arguments.write(robot, states, &shares, |motion| {
         let rigid = model.inverse_dynamics(&(*motion).into());
         let drives = robot.joints.iter().zip(&motion.qd);
         let friction = drives.map(|(drive, qd)| drive.friction.sliding(*qd));
@@ -148,7 +165,7 @@ fn torque<A: Arm<N, P>, const N: usize, const P: usize>(
         Some(_) => &["tau", "rigid", "friction", "network"],
         None => &["tau"],
     };
-    arguments.write(states, shares, |motion| {
+    arguments.write(robot, states, shares, |motion| {
         let torque = board.evaluate(&motion_f32(motion))?;
         let own = torque.shares;
         let mut torques = own.rigid.iter().chain(&torque.total);

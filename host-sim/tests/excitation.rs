@@ -124,6 +124,14 @@ fn each_criterion_is_lower_where_it_was_asked_for() {
 }
 
 #[test]
+fn a_path_that_shows_no_parameters_is_refused() {
+    let here = Directory::new("excite-short");
+    let short = "excite --robot panda --out out --period-s 0.2 --starts 1";
+    here.refused(short, "a longer --period-s");
+    assert!(!here.join("out/excitation.json").exists());
+}
+
+#[test]
 fn rotors_that_simulate_assumes_are_those_of_excite() {
     let here = Directory::new("excite-rotors");
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/small5.toml");

@@ -146,6 +146,15 @@ fn mistake(name: &str) -> Change {
             rows[1500..].iter_mut().for_each(|row| row[column] = value);
         })
     };
+    let late = |by: isize| -> Change {
+        Box::new(move |rows| {
+            let before = rows.clone();
+            for (k, row) in rows.iter_mut().enumerate() {
+                let from = k.saturating_add_signed(-by).min(before.len() - 1);
+                row[TAU..].copy_from_slice(&before[from][TAU..]);
+            }
+        })
+    };
     let all = TAU..TAU + 6;
     let one = |joint: usize| TAU + joint - 1..TAU + joint;
     match name {
@@ -178,12 +187,13 @@ fn mistake(name: &str) -> Change {
         "torques for positions" => swap(Q, TAU, 6),
         "tenfold torque 4" => scale(one(4), 10.0),
         "thousandfold torque 3" => scale(one(3), 1e3),
-        "late" => Box::new(|rows| {
-            let before = rows.clone();
-            for (k, row) in rows.iter_mut().enumerate() {
-                row[TAU..].copy_from_slice(&before[k.saturating_sub(4)][TAU..]);
-            }
-        }),
+        "late" => late(4),
+        "very late" => late(40),
+        "very early" => late(-40),
+        "offset" => each(|row| row[TAU] += 40.0),
+        "turned velocity 4" => each(|row| row[Q + 6 + 3] *= -1.0),
+        "no velocities" => scale(Q + 6..Q + 12, 0.0),
+        "half accelerations" => scale(Q + 12..Q + 18, 0.5),
         "noise" => Box::new(|rows| {
             let mut state = 1_u64;
             for tau in rows.iter_mut().flat_map(|row| &mut row[TAU..]) {
@@ -238,6 +248,12 @@ torques for positions | positions and torques are swapped
 tenfold torque 4 | torque of joint 4 is
 thousandfold torque 3 | those of the others are nearer to theirs; drive gain, unit, or a limit of the description (--torque-limits)?
 late | ms behind the positions
+very late | torques are 100 ms or more behind the positions
+very early | torques are 100 ms or more ahead of the positions
+offset | torque of joint 1 has an offset of
+turned velocity 4 | logged velocities of joint 4 have the other sign
+no velocities | logged velocities of joint 1, 2, 3, 4, 5, 6 are zero
+half accelerations | velocities change 2.00 times as fast as the logged accelerations
 noise | are noise: they follow neither the motion nor gravity";
     for case in cases.lines() {
         let (name, words) = case.split_once(" | ").expect("two parts");
@@ -253,11 +269,11 @@ noise | are noise: they follow neither the motion nor gravity";
     let refusal = String::from_utf8(output.stderr).expect("UTF-8");
     assert_contains(&refusal, "joint 5: its torque is always");
     // The rate of this clock is in the torques alone.
-    let fast = planted(&good, each(|row| row[0] *= 0.5));
     let bare = |line: &str| -> String {
         let fields: Vec<&str> = line.split(',').collect();
         [&fields[..Q + 6], &fields[TAU..]].concat().join(",")
     };
+    let fast = planted(&good, each(|row| row[0] *= 0.5));
     let bare: Vec<String> = fast.lines().map(bare).collect();
     here.write("bad.csv", bare.join("\n"));
     judged("times: doubled they follow the description");

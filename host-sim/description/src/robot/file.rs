@@ -2,7 +2,7 @@
 
 use super::body::{Coupling, CouplingFile};
 use super::{
-    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
+    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot, TURN,
     Workspace,
 };
 use crate::Refusal;
@@ -142,7 +142,8 @@ pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
         check.that(is_new, "name", "comes twice")?;
         let (placement, end) = match (&joint.dh, &joint.frame) {
             (Some(dh), None) => {
-                check.finite("dh", &[dh.d_m, dh.a_m, dh.alpha_rad])?;
+                check.finite("dh", &[dh.d_m, dh.a_m])?;
+                check.angles("dh.alpha_rad", &[dh.alpha_rad])?;
                 let placement = Placement {
                     origin: link_end.point(&Vector3::new(0.0, 0.0, dh.d_m)),
                     ..link_end
@@ -210,7 +211,7 @@ fn placement_of_frame(
     field: &str,
 ) -> Result<Placement, Refusal> {
     check.finite(field, &frame.xyz_m)?;
-    check.finite(field, &frame.rpy_rad)?;
+    check.angles(&format!("{field}.rpy_rad"), &frame.rpy_rad)?;
     let (xyz, rpy) = (frame.xyz_m.into(), frame.rpy_rad.into());
     Ok(Placement::from_xyz_rpy(xyz, rpy))
 }
@@ -316,6 +317,11 @@ impl Check<'_> {
             field,
             "is not a finite number of 32 bits",
         )
+    }
+
+    fn angles(&self, field: &str, values: &[f64]) -> Result<(), Refusal> {
+        let fits = values.iter().all(|angle| angle.abs() <= TURN);
+        self.that(fits, field, "is in radians, and has more than a turn")
     }
 
     /// A finite value is `positive`, or at least not negative.

@@ -50,6 +50,7 @@ fn bad_descriptions_are_refused_with_file_and_field() {
         encoder_bits = 17 | encoder_bits = 3 | joints[0].drive.encoder_bits: must be 8 to 32
         [-6.283185307179586, | [7.0, | joints[0].limits.position_rad: lower end must be below upper end
         dh = { d_m = 0.089159, a_m = 0.0, alpha_rad = 1.5707963267948966 } | | joints[0].dh: give exactly one of 'dh' and 'frame'
+        alpha_rad = 1.5707963267948966 | alpha_rad = 90 | joints[0].dh.alpha_rad: is in radians, and has more than a turn
         name = \"ur5\" | name = \"UR 5\" | name: must be lower-case letters, digits and underscores, a letter first
         torque_nm = 150.0 | torque_nm = 0 | joints[0].limits.torque_nm: is 0, must be positive
         name = \"elbow\" | name = \"shoulder_pan\" | joints[2].name: comes twice

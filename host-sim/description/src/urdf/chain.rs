@@ -1,9 +1,11 @@
 //! The path from base to tip, brought into Craig's link frames.
 
-use super::document::{Document, JointElement, TURN};
+use super::document::{Document, JointElement};
 use super::tree::Tree;
 use super::{Import, Selection};
-use crate::robot::{Drive, Friction, Joint, Limits, Link, MAX_JOINTS, Placement, Robot, Workspace};
+use crate::robot::{
+    Drive, Friction, Joint, Limits, Link, MAX_JOINTS, Placement, Robot, TURN, Workspace,
+};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use std::f64::consts::{PI, TAU};
 

@@ -1,17 +1,14 @@
 //! The elements of a URDF or MJCF that matter to dynamics, as they are written.
 
-use crate::robot::{Link, Placement, fits_board};
+use crate::robot::{Link, Placement, TURN, fits_board};
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::Node;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 /// Angles this close to a multiple of π/2 are that multiple. URDF files write right angles as 1.5708 or 1.57079632679;
 /// taken literally, such an arm has nearly dependent inertial parameters, which neither a torque sensor nor f32
 /// resolves, and its zero entries cost multiplications.
 pub(super) const RIGHT_ANGLE_TOLERANCE: f64 = 1e-5;
-
-/// A turn, rad, with the error of two decimals. Angles beyond it are degrees as a rule.
-pub(super) const TURN: f64 = TAU + 0.01;
 
 /// Gravity of a file that states none, m/s².
 pub(super) const EARTH: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);

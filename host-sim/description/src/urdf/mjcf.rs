@@ -7,9 +7,9 @@
 mod attributes;
 
 use super::document::{
-    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, TURN, body,
-    child, children, list, no_robot, number, optional, parse_number, parsed, problem, required,
-    squared, vector,
+    Document, EARTH, JointElement, LimitElement, LinkElement, RIGHT_ANGLE_TOLERANCE, body, child,
+    children, list, no_robot, number, optional, parse_number, parsed, problem, required, squared,
+    vector,
 };
 use crate::robot::{Link, Placement};
 use attributes::{numbers, ranges_are_radians};
@@ -395,6 +395,10 @@ mod tests {
         assert_eq!([noted(&degrees), noted(&radians)], [false, true]);
         // A rounded turn.
         assert!(noted(&read(&bare.replace("-90 90", "-6.28319 6.28319"))));
+        // Motors and positions of a class have the same defaults.
+        let geared = MJCF.replace("<motor ctrlrange", "<motor gear=\"0.5\" ctrlrange");
+        let geared = geared.replace("<position joint", "<position class=\"arm\" joint");
+        assert_eq!(whole(&geared).joints[0].limits.torque, 17.5);
         let named = read(&MJCF.replace("-90 90", "-1.5 1.5"));
         let end = 1.5_f64.to_radians();
         assert_eq!(position(&named), (-end, end));

@@ -217,6 +217,10 @@ impl LogReader {
             );
             return Err(TableError::at(path, None, problem));
         }
+        if !map.gear_ratios.is_empty() && effort != EffortKind::Motor {
+            let problem = "gear_ratios without torques of motors: give effort = \"motor\" in the map of columns, or --effort motor";
+            return Err(TableError::at(path, None, problem));
+        }
         for (joint, (_, scale)) in tau.iter_mut().enumerate() {
             *scale *= match effort {
                 EffortKind::Torque => 1.0,

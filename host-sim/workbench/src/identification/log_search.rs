@@ -107,10 +107,20 @@ pub(super) fn joint_places(
     let mut columns = PerJoint::repeat(joints, 0);
     for (joint, column) in columns.iter_mut().enumerate() {
         let Some(name) = chosen(joint) else {
-            let problem = format!("{joint} names of columns for {joints} joints");
+            let problem = format!("{name}: {joint} names of columns for {joints} joints");
             return Err(rows.header_error(problem));
         };
         *column = rows.require(&name)?;
+    }
+    for (joint, column) in columns.iter().enumerate() {
+        if let Some(before) = columns.iter().take(joint).position(|other| other == column) {
+            let header = &rows.header[*column];
+            let (one, other) = (before + 1, joint + 1);
+            let problem = format!(
+                "column {header} is {name} of joints {one} and {other}: one column a joint"
+            );
+            return Err(rows.header_error(problem));
+        }
     }
     Ok(Some((columns, is_own)))
 }

@@ -96,7 +96,7 @@ fn methods_section(report: &Report) -> Section {
          not.",
     )
     .table(
-        "method | 80/20 split | worst unseen file | rows | epochs | seconds",
+        "method | 80/20 split | worst validation file | rows | epochs | seconds",
         rows,
     )
 }

@@ -178,7 +178,8 @@ impl<const N: usize> Trajectory<N> {
 /// Errors: one line that names the file.
 pub fn excitation(path: &Path, robot: &Robot) -> Result<Excitation, Refusal> {
     let name = &path.display().to_string();
-    let series: Excitation = serde_json::from_str(&text_of(path)?).map_err(in_file(name))?;
+    let none = |error| Refusal(format!("{name}: no excitation.json of `excite`: {error}"));
+    let series: Excitation = serde_json::from_str(&text_of(path)?).map_err(none)?;
     series.check(robot).map_err(in_file(name))?;
     Ok(series)
 }
@@ -203,8 +204,10 @@ fn within<const N: usize>(
         ] {
             if broken > share * size {
                 let joint = j + 1;
+                // So many decimals that the two differ.
+                let decimals = if broken < 1e-3 { 6 } else { 3 };
                 return Err(Refusal(format!(
-                    "joint {joint} is asked for {asked:.3} {unit} at {t_s:.3} s, its limit is {limit:.3} {unit}"
+                    "joint {joint} is asked for {asked:.decimals$} {unit} at {t_s:.3} s, its limit is {limit:.decimals$} {unit}"
                 )));
             }
         }

@@ -1,6 +1,7 @@
 //! Values of an element, its own or those of its class, and the settings that decide what they mean.
 
 use super::*;
+use crate::robot::TURN;
 use std::f64::consts::PI;
 
 impl<'a, 'input> Reader<'a, 'input> {
@@ -54,10 +55,13 @@ impl<'a, 'input> Reader<'a, 'input> {
             let mut outer = None;
             for default in defaults.filter(|default| class_of(*default) == class) {
                 outer = default.parent().filter(is_default);
-                // An actuator's defaults may stand under its own name and under that of all actuators.
-                let tags = &[tag, "general"][..1 + usize::from(is_actuator(tag))];
-                let mut found = tags.iter().filter_map(|tag| child(default, tag));
-                if let Some(found) = found.find(|n| n.has_attribute(name)) {
+                // All actuators of a class have one set of defaults, under whatever name they stand: the last counts.
+                let is_own = |n: &Node<'_, '_>| {
+                    let other = n.tag_name().name();
+                    other == tag || is_actuator(tag) && is_actuator(other)
+                };
+                let mut own = default.children().filter(is_own);
+                if let Some(found) = own.rfind(|n| n.has_attribute(name)) {
                     return Some(found);
                 }
             }
@@ -210,5 +214,13 @@ fn class_of<'a>(default: Node<'a, '_>) -> &'a str {
 }
 
 fn is_actuator(tag: &str) -> bool {
-    ["motor", "position", "velocity", "intvelocity", "damper"].contains(&tag)
+    let tags = [
+        "general",
+        "motor",
+        "position",
+        "velocity",
+        "intvelocity",
+        "damper",
+    ];
+    tags.contains(&tag)
 }

@@ -217,6 +217,25 @@ fn scatter<'a>(joints: impl Iterator<Item = &'a (DVector<f64>, f64)>) -> f64 {
     (squares.sum::<f64>() / free).sqrt().max(1.0)
 }
 
+/// Finding where the best of all delays is the longest that is tried, with and without every part, and clearly better than none.
+///
+/// * `costs` minus the logarithms of the likelihoods, of all parts first      * `spread` [`scatter`] of the joints
+fn beyond(costs: &[DVector<f64>], spread: f64, step_s: f64) -> Option<String> {
+    let best = costs[0].imin();
+    let at_an_end = best == 0 || best == DELAYS - 1;
+    let gain = costs[0][TRIED] - costs[0][best];
+    // So much lies between a mean and a value so many standard deviations from it.
+    let clear = gain > 0.5 * (CLEAR * ANALYTIC * spread).powi(2);
+    let sure = at_an_end && clear && costs.iter().all(|part| part.imin() == best);
+    sure.then(|| {
+        let side = if best == 0 { "ahead of" } else { "behind" };
+        format!(
+            "torques are {:.0} ms or more {side} the positions: do both have one clock? Shift them",
+            1e3 * TRIED as f64 * step_s
+        )
+    })
+}
+
 /// Delay of the torques behind the positions, common to all joints, of rows `period_s` apart.
 pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay], period_s: f64) {
     // Of a joint alone, where it moved for long enough.
@@ -233,13 +252,18 @@ pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay]
         return;
     };
     let step_s = step_rows(period_s) as f64 * period_s;
+    let spread = scatter(alone.iter().flatten());
+    if let Some(text) = beyond(&costs, spread, step_s) {
+        judgement.find(true, text);
+        return;
+    }
     let (mean, analytic) = vertex(&costs[0]);
     // The jackknife of Quenouille and Tukey.
     let without: Vec<f64> = costs[1..].iter().map(|costs| vertex(costs).0).collect();
     let centre = without.iter().sum::<f64>() / PARTS as f64;
     let squares: f64 = without.iter().map(|one| (one - centre).powi(2)).sum();
     let jackknife = (squares * (PARTS - 1) as f64 / PARTS as f64).sqrt();
-    let deviation = analytic.max(jackknife) * scatter(alone.iter().flatten());
+    let deviation = analytic.max(jackknife) * spread;
     let (mean, deviation) = (mean * step_s, deviation * step_s);
     if deviation > LONGEST_S {
         return;

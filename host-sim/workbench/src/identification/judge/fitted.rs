@@ -2,7 +2,7 @@
 
 use super::{ANALYTIC, CENTRE_M, DEVIATIONS, Finding, Judgement, ROWS, SOUND_SCALE};
 use crate::dynamics::RigidBodies;
-use crate::identification::columns::Layout;
+use crate::identification::columns::{FrictionTerm, Layout};
 use crate::identification::methods::Fit;
 use crate::identification::normal::SampleRow;
 use crate::identification::normal::solve;
@@ -10,6 +10,7 @@ use crate::identification::problem::Candidate;
 use crate::identification::record::Report;
 use crate::metrics::even_sample;
 use crate::robot::{Link, Robot};
+use foretorque::dynamics::FrictionColumn;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
 
 /// Parameters of the description: base set, then viscous and Coulomb friction, all else zero.
@@ -20,7 +21,10 @@ pub(in crate::identification) fn description(robot: &Robot, layout: &Layout) -> 
     DVector::from_vec(theta)
 }
 
-/// Findings on what was fitted: a tilted base, an unknown payload, and parameters that no body has.
+/// Share of the torque limit from which an offset is named.
+const OFFSET_SHARE: f64 = 0.1;
+
+/// Findings on what was fitted: a tilted base, an unknown payload, parameters that no body has, and offsets of the torque.
 ///
 /// Returns whether the base is tilted. A tilt may pass for a payload, but not the other way: the parameters of the fit
 /// contain every payload.
@@ -52,8 +56,29 @@ pub(in crate::identification) fn after_fit(
             let text = format!("{name} is {value:.4} {unit}: no arm has it below zero");
             judgement.find(false, text);
         }
+        if let Some((FrictionTerm::Board(FrictionColumn::Offset), joint)) = parameter.friction {
+            offset(judgement, robot, joint, value, rows);
+        }
     }
     is_tilted
+}
+
+/// Finding on the offset of a joint's torque, N·m, that a bank would command without a motion. It refuses where the torque
+/// has little else.
+fn offset(judgement: &mut Judgement, robot: &Robot, joint: usize, offset: f64, rows: &[SampleRow]) {
+    let moving = rows.iter().filter(|row| row.moving[joint]);
+    let squares = moving.map(|row| (row.tau[joint] - offset).powi(2));
+    let squares: Vec<f64> = squares.collect();
+    let rest = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
+    let share = offset.abs() / robot.joints[joint].limits.torque;
+    if share > OFFSET_SHARE {
+        let text = format!(
+            "torque of joint {} has an offset of {offset:.3} N·m, {:.0} % of its limit, beside {rest:.3} N·m RMS: zero the sensor, or take off what a spring carries",
+            joint + 1,
+            100.0 * share
+        );
+        judgement.find(offset.abs() > rest, text);
+    }
 }
 
 /// Joints where the fitted parameters leave half of the power of the torque, and most of what they leave is not noise. The

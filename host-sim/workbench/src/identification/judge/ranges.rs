@@ -48,10 +48,41 @@ pub(super) struct Extremes {
     /// Rows just below the torque limit, at it, and above.
     near_limit: [f64; 3],
     spikes: f64,
-    /// Squares of the change of positions and of the logged velocities, and their product.
-    rates: [f64; 3],
+    /// Of positions and logged velocities, and of these and logged accelerations.
+    rates: [Rate; 2],
     /// Of position and torque.
     rough: [Roughness; 2],
+}
+
+/// Squares of the change of a signal and of its logged derivative, and their product.
+#[derive(Clone, Copy, Default)]
+struct Rate {
+    change: f64,
+    logged: f64,
+    product: f64,
+}
+
+impl Rate {
+    fn add(&mut self, change: f64, logged: f64) {
+        self.change += change * change;
+        self.logged += logged * logged;
+        self.product += change * logged;
+    }
+
+    /// Range of the change over the logged derivative: noise of either enters one end alone. `None` where they have nothing
+    /// in common.
+    fn ratio(&self) -> Option<(f64, f64)> {
+        (self.product > 0.0).then(|| (self.product / self.logged, self.change / self.product))
+    }
+
+    /// The logged derivative is zero, or has the other sign.
+    fn is_zero(&self) -> bool {
+        self.change > 0.0 && self.logged <= 1e-6 * self.change
+    }
+
+    fn is_turned(&self) -> bool {
+        self.product < 0.0 && self.product.powi(2) > 0.25 * self.change * self.logged
+    }
 }
 
 /// Largest value of a signal and the largest below it, and rows with each.
@@ -146,10 +177,9 @@ impl Extremes {
         self.speed > MOVED.0 && high - low > MOVED.1
     }
 
-    /// Range of the change of positions over the logged velocities: noise of either enters one end alone.
-    fn rate_ratio(&self) -> Option<(f64, f64)> {
-        let [change, logged, product] = self.rates;
-        (product > 0.0 && self.moved()).then(|| (product / logged, change / product))
+    /// The log has velocities.
+    pub(super) fn has_velocity(&self) -> bool {
+        self.rates[0].logged > 0.0
     }
 
     /// No torque is below zero while the joint moves, and the torque changes.
@@ -194,6 +224,7 @@ pub(super) fn scan(
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
     let mut last: Vec<LogRow> = Vec::new();
+    let (has_velocity, has_acceleration) = (log.reader.has_velocity(), log.reader.qdd.is_some());
     while let Some(row) = log.next_row()? {
         // Over a gap an angle may have wrapped.
         let follows = |before: &LogRow| row.t_s - before.t_s <= GAP_PERIODS * period_s;
@@ -231,8 +262,13 @@ pub(super) fn scan(
                     let moves = f64::from(speed.abs() > MOVED.0);
                     unchanged.add(value, row.t_s, moves * (row.t_s - b.t_s));
                 }
-                let products = [qd * qd, logged * logged, qd * logged];
-                sums.rates = std::array::from_fn(|k| sums.rates[k] + products[k]);
+                if has_velocity {
+                    sums.rates[0].add(qd, logged);
+                    if has_acceleration {
+                        let qdd = (row.qd[joint] - a.qd[joint]) / (row.t_s - a.t_s);
+                        sums.rates[1].add(qdd, b.qdd[joint]);
+                    }
+                }
                 sums.power += tau * tau;
                 sums.rows += 1.0;
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
@@ -288,6 +324,14 @@ pub(super) fn units(
                 seen.speed,
                 joint.limits.velocity,
                 seen.fast
+            )
+        } else if !is_far(joint, seen) {
+            format!(
+                "q{} moves at {:.4} rad/s at {:.3} s and stays in its range, its largest speed is {:.3} rad/s: are the times in another unit (--units t=ms, t=us or t=ns, for all logs), or are the limits too low (--velocity-limits)?",
+                number + 1,
+                seen.speed,
+                seen.fastest_s,
+                joint.limits.velocity
             )
         } else {
             format!(
@@ -415,10 +459,40 @@ fn stuck(judgement: &mut Judgement, extremes: &[Extremes]) {
     }
 }
 
-/// Positions that change faster or slower than the logged velocities.
+/// Positions that change in another way than the logged velocities, and these than the logged accelerations.
 fn rates(extremes: &[Extremes]) -> Option<String> {
-    let ratios = extremes.iter().enumerate();
-    let ratios = ratios.filter_map(|(joint, seen)| Some((joint + 1, seen.rate_ratio()?)));
+    let signals = [("positions", "velocities"), ("velocities", "accelerations")];
+    let mut findings = signals.into_iter().enumerate().map(|(signal, names)| {
+        let moved = extremes.iter().enumerate().filter(|(_, seen)| seen.moved());
+        let rates = moved.map(|(joint, seen)| (joint + 1, seen.rates[signal]));
+        rates_of(names, &rates.collect::<Vec<_>>())
+    });
+    findings.find_map(|finding| finding)
+}
+
+/// Finding on the logged derivatives `logged` of the signals `changing`; joints from 1.
+fn rates_of((changing, logged): (&str, &str), rates: &[(usize, Rate)]) -> Option<String> {
+    let all = |rate: fn(&Rate) -> bool| rates.iter().filter(move |(_, own)| rate(own));
+    let of = |joints: Vec<&(usize, Rate)>| {
+        let joints = joints.iter().map(|(joint, _)| joint.to_string());
+        joints.collect::<Vec<_>>().join(", ")
+    };
+    let zero: Vec<_> = all(Rate::is_zero).collect();
+    if !zero.is_empty() {
+        return Some(format!(
+            "logged {logged} of joint {} are zero while their {changing} change: leave these columns out (a map without them in --columns-from FILE)",
+            of(zero)
+        ));
+    }
+    let turned: Vec<_> = all(Rate::is_turned).collect();
+    if !turned.is_empty() {
+        return Some(format!(
+            "logged {logged} of joint {} have the other sign than the change of their {changing}: turn one of the two, or take the columns of these joints",
+            of(turned)
+        ));
+    }
+    let ratios = rates.iter();
+    let ratios = ratios.filter_map(|(joint, rate)| Some((*joint, rate.ratio()?)));
     let ratios: Vec<(usize, (f64, f64))> = ratios.collect();
     let off = ratios
         .iter()
@@ -428,11 +502,11 @@ fn rates(extremes: &[Extremes]) -> Option<String> {
     let ratio = (least * most).sqrt();
     Some(if off.len() * 2 > ratios.len() {
         format!(
-            "positions change {ratio:.2} times as fast as the logged velocities: are the times right (else rate_hz in --columns-from FILE), and the units (--units)?"
+            "{changing} change {ratio:.2} times as fast as the logged {logged}: are the times right (else rate_hz in --columns-from FILE), and the units (--units)?"
         )
     } else {
         format!(
-            "positions of joint {joint} change {ratio:.2} times as fast as its logged velocities, those of the others do not: is the scale of one of the two wrong?"
+            "{changing} of joint {joint} change {ratio:.2} times as fast as its logged {logged}, those of the others do not: is the scale of one of the two wrong?"
         )
     })
 }

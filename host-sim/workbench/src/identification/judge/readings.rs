@@ -111,7 +111,15 @@ fn readings(states: &[Motion], extremes: &[Extremes], weights: &[f64]) -> Vec<Re
             read(have, &format!("with {more}"), moved, straight);
         }
     }
-    for (rate, otherwise) in [(2.0, "halved"), (0.5, "doubled")] {
+    let logged = extremes.iter().any(Extremes::has_velocity);
+    let rates = [
+        (2.0, "halved"),
+        (0.5, "doubled"),
+        (1.25, "multiplied by 0.8"),
+        (0.8, "multiplied by 1.25"),
+    ];
+    // Logged velocities agree with the positions, so no clock is a quarter wrong.
+    for (rate, otherwise) in rates.into_iter().take(if logged { 2 } else { 4 }) {
         let text = format!(
             "times: {otherwise} they follow the description and any other parameters of this arm, as they are they do not"
         );
@@ -363,6 +371,25 @@ mod tests {
         assert_eq!(read(&arm, &arm, 0.02, 1.0), None);
         let text = read(&arm, &arm, 0.3, 1.0).expect("a slope");
         assert!(text.contains("a base turned by 0.30 rad"), "{text}");
+    }
+
+    /// Free parameters find the other clock, and the description agrees.
+    #[test]
+    fn a_clock_a_quarter_wrong_is_named() {
+        let arm = Robot::load("ur5").expect("built in");
+        let model = RigidBodies::new(&arm);
+        let joints = arm.joint_count();
+        let motions = random_motions(joints, 600);
+        let row = |state: Motion| (at_rate(&state, 0.8), model.inverse_dynamics(&state));
+        let rows: Vec<_> = motions.into_iter().map(row).collect();
+        let moved = Extremes::none();
+        let fitted = |rate: f64| if rate == 1.25 { 3.0 } else { 0.0 };
+        let text = other_reading(&arm, &rows, &vec![moved; joints], &fitted).expect("a finding");
+        assert!(text.starts_with("times: multiplied by 0.8 they"), "{text}");
+        assert_eq!(
+            other_reading(&arm, &rows, &vec![moved; joints], &|_| 0.0),
+            None
+        );
     }
 
     /// All axes of the arm are vertical, and its base is on a slope.

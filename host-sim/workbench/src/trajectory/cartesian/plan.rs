@@ -208,6 +208,7 @@ mod tests {
             normal = [0, 0, 2] | normal = [0, 0, 0] | move[2].circle.normal: has no direction
             centre_m = [-0.45, 0.15 | centre_m = [-0.4, 0.15 | move[2].circle: the move starts on the axis
             rpy_rad = [2.8, 0.3, 0.5] | rpy_rad = [0.0, 0.0, 0.0] | move[1].line: turns the tool by more than 3 rad
+            rpy_rad = [2.8, 0.3, 0.5] | rpy_rad = [180.0, 0.0, 0.0] | move[1].line.rpy_rad: is in radians, and has more than a turn
             [[move]]\\nduration_s = 1.5 | [[moves]]\\nduration_s = 1.5 | line 6: unknown field `moves`
             0.25], rpy_rad = [3.141592653589793, 0.0, 0.0] }\\n\\n[[ | 0.25] }\\n\\n[[ | start.rpy_rad: is missing
             -1.57, 0.0] | -1.57] | near_q_rad: 5 values for 6 joints
