@@ -71,7 +71,7 @@ fn part(text: &str) -> Result<f64, String> {
     fitting(
         text,
         |value| (0.0..1.0).contains(&value),
-        "must lie between 0 and 1, and below 1",
+        "must be at least 0 and below 1",
     )
 }
 

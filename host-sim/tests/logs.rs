@@ -250,16 +250,43 @@ thousandfold torque 3 | those of the others are nearer to theirs; drive gain, un
 late | ms behind the positions
 very late | torques are 100 ms or more behind the positions
 very early | torques are 100 ms or more ahead of the positions
-offset | torque of joint 1 has an offset of
-turned velocity 4 | logged velocities of joint 4 have the other sign
-no velocities | logged velocities of joint 1, 2, 3, 4, 5, 6 are zero
-half accelerations | velocities change 2.00 times as fast as the logged accelerations
 noise | are noise: they follow neither the motion nor gravity";
     for case in cases.lines() {
         let (name, words) = case.split_once(" | ").expect("two parts");
         here.write("bad.csv", planted(&good, mistake(name)));
         judged(words);
     }
+    // Mapped velocities and accelerations are used as they are.
+    let map = "t_s = 't_s'\nq_rad = 'q{}_rad'\nqd_rad_s = 'qd{}_rad_s'\nqdd_rad_s2 = 'qdd{}_rad_s2'\ntau_nm = 'tau{}_nm'\n";
+    here.write("map.toml", map);
+    for (name, words) in [
+        (
+            "turned velocity 4",
+            "logged velocities of joint 4 have the other sign",
+        ),
+        (
+            "no velocities",
+            "logged velocities of joint 1, 2, 3, 4, 5, 6 are zero",
+        ),
+        (
+            "half accelerations",
+            "velocities change 2.00 times as fast as the logged accelerations",
+        ),
+    ] {
+        here.write("bad.csv", planted(&good, mistake(name)));
+        let mapped = "identify --robot ur5 --log bad.csv --columns-from map.toml --data-check";
+        here.refused(mapped, words);
+    }
+    let list = "['q1_rad', 'q2_rad', 'q3_rad', 'q4_rad', 'q5_rad', 'q5_rad']";
+    here.write("map.toml", map.replacen("'q{}_rad'", list, 1));
+    let twice = "identify --robot ur5 --log bad.csv --columns-from map.toml --data-check";
+    here.refused(twice, "column q5_rad is q of joints 5 and 6");
+    here.write("bad.csv", planted(&good, mistake("offset")));
+    let warning = "warning  torque of joint 1 has an offset of";
+    here.shows(
+        "identify --robot ur5 --log bad.csv --methods wls --out offset",
+        warning,
+    );
     // Of two mistakes the check names both.
     let frozen = planted(&good, mistake("frozen"));
     here.write("bad.csv", planted(&frozen, mistake("turned torque 3")));

@@ -144,7 +144,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
     pub fn end<C: Clock>(&mut self, session: &Session<A, N, P, C>) {
         if let Side::Master(drives) = &mut self.side {
             match drives.damp() {
-                BusPhase::Damping(_) if session.stopped() => _ = drives.stop(),
+                BusPhase::Off => {}
+                _ if session.stopped() => _ = drives.stop(),
                 _ => {}
             }
         }
@@ -198,7 +199,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         let mut failed = drives.supervise();
         let enabled = session.torque_enabled();
         match drives.phase() {
-            BusPhase::Off if enabled => match drives.arm() {
+            BusPhase::Off if enabled && drives.is_off() => match drives.arm() {
                 // After a fault was cleared, scales are read again.
                 Err(BusFault {
                     cause: FaultCause::Silent | FaultCause::ScaleUnknown(_),

@@ -49,6 +49,8 @@ pub struct BusDrives<const N: usize> {
     held: JointVector<N>,
     strays: u32,
     idle: u16,
+    /// The drives are still to be switched off.
+    off_due: bool,
 }
 
 impl<const N: usize> BusDrives<N> {
@@ -73,6 +75,7 @@ impl<const N: usize> BusDrives<N> {
             held: JointVector::zeros(),
             strays: 0,
             idle: 0,
+            off_due: false,
         };
         drives.set_period::<A, P>(period_s);
         drives
@@ -153,6 +156,7 @@ impl<const N: usize> BusDrives<N> {
             return Err(fault);
         }
         match self.phase {
+            BusPhase::Off if self.off_due => Err(SafetyReason::StillRamping.into()),
             BusPhase::Off => {
                 self.ready()?;
                 // A state from before the order proves nothing: some drives report theirs ten times a second.
@@ -183,7 +187,7 @@ impl<const N: usize> BusDrives<N> {
 
     /// Switches the drives off with the next frames, without damping.
     pub fn stop(&mut self) -> BusPhase {
-        self.idle = IDLE_ROUND - 1;
+        self.off_due = true;
         self.phase = BusPhase::Off;
         self.phase
     }
@@ -397,6 +401,9 @@ impl<const N: usize> BusDrives<N> {
                     };
                     joint.drive.order(order, &mut frames);
                 }
+                None if self.off_due => {
+                    joint.drive.order(Order::Disable, &mut frames);
+                }
                 None if core::mem::take(&mut link.clears) => {
                     joint.drive.order(Order::ClearFault, &mut frames);
                 }
@@ -421,7 +428,13 @@ impl<const N: usize> BusDrives<N> {
                 }
             }
         }
+        self.off_due &= self.phase != BusPhase::Off;
         saturation
+    }
+
+    /// The drives are off, and have been told so.
+    pub(super) fn is_off(&self) -> bool {
+        self.phase == BusPhase::Off && !self.off_due
     }
 
     /// Periods without a reply that make a fault.

@@ -293,10 +293,11 @@ fn a_stop_switches_every_drive_off_with_its_next_frame() {
 
 #[test]
 fn a_stop_of_a_board_switches_every_drive_off_with_its_next_frame() {
-    for protocol in [ODRIVE, Protocol::Damiao(RANGES)] {
+    for (protocol, heartbeat) in [(ODRIVE, 1), (ODRIVE, 50), (Protocol::Damiao(RANGES), 1)] {
         let mut board = Board::of(Role::Master, config_of(protocol));
-        board.rest(50, &[HostMessage::Arm]);
-        board.rest(100, &[]);
+        board.drives.heartbeat = heartbeat;
+        board.rest(100, &[HostMessage::Arm]);
+        board.rest(300, &[]);
         // While the drives follow, and while they damp.
         for order in [HostMessage::Statistics, HostMessage::Disarm] {
             board.rest(1, &[order]);
@@ -304,8 +305,18 @@ fn a_stop_of_a_board_switches_every_drive_off_with_its_next_frame() {
             board.rest(1, &[HostMessage::Stop]);
             board.rest(1, &[]);
             assert_eq!(board.drives.on(), [false; 6], "{protocol:?}");
-            board.rest(50, &[HostMessage::ClearFault, HostMessage::Arm]);
-            board.rest(100, &[]);
+            board.rest(100, &[HostMessage::ClearFault, HostMessage::Arm]);
+            board.rest(300, &[]);
+            assert_eq!(board.state(), SafetyState::Armed);
+            // Armed again before the next tick, while the drives follow or are being switched on.
+            for _ in 0..2 {
+                let burst = [HostMessage::Stop, HostMessage::ClearFault, HostMessage::Arm];
+                board.rest(1, &burst);
+                board.rest(1, &[]);
+                assert_eq!(board.drives.on(), [false; 6], "{protocol:?}");
+                board.rest(2, &[]);
+            }
+            board.rest(300, &[]);
             assert_eq!(board.state(), SafetyState::Armed);
         }
     }
@@ -543,6 +554,8 @@ fn an_end_of_the_torque_between_two_ticks_starts_softly_again() {
     assert!((full - 300.0).abs() < 1.0, "{full}");
     let burst = [HostMessage::Stop, HostMessage::ClearFault, HostMessage::Arm];
     board.rest(1, &burst);
+    board.rest(1, &[]);
+    assert_eq!(board.drives.on(), [false; 6]);
     board.drives.kp = [0.0; 6];
     let mut before = 0.0;
     for ms in 0..2000 {

@@ -165,15 +165,11 @@ impl<const N: usize> Safety<N> {
     /// Takes one period of the board's own time: the input ages, and the torque may change by one more slew step.
     pub fn period(&mut self) {
         self.slewed_from = self.output;
-        self.pass(1);
+        self.miss(1);
     }
 
     /// Takes periods of the board's own time in which nothing ran: the input ages, the torque may change no more than before.
     pub fn miss(&mut self, periods: u32) {
-        self.pass(periods);
-    }
-
-    fn pass(&mut self, periods: u32) {
         self.input.age(&self.limits, periods);
         self.derating.age(self.limits.temperature_ticks, periods);
         if self.state == SafetyState::RampDown {

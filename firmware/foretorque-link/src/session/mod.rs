@@ -87,7 +87,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         }
     }
 
-    /// Lowers the torque limits to those of the board's drives, N × N·m, for good; before the first sample.
+    /// Lowers the torque limits to those of the board's drives, N × N·m, for good; before the first sample. Limits that no
+    /// tick can work with latch [`SafetyReason::Drive`].
     pub fn limit_torques(&mut self, limits: [f32; N]) {
         self.controller.limit_torques(limits);
     }

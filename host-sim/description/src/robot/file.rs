@@ -2,8 +2,8 @@
 
 use super::body::{Coupling, CouplingFile};
 use super::{
-    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot, TURN,
-    Workspace,
+    Capsule, Drive, Friction, Joint, Limits, Link, LogColumns, MAX_JOINTS, Placement, Robot,
+    Workspace, angle_problem,
 };
 use crate::Refusal;
 use crate::files::from_toml;
@@ -320,8 +320,8 @@ impl Check<'_> {
     }
 
     fn angles(&self, field: &str, values: &[f64]) -> Result<(), Refusal> {
-        let fits = values.iter().all(|angle| angle.abs() <= TURN);
-        self.that(fits, field, "is in radians, and has more than a turn")
+        let problem = angle_problem(values);
+        problem.map_or(Ok(()), |problem| Err(self.error(field, problem)))
     }
 
     /// A finite value is `positive`, or at least not negative.

@@ -5,6 +5,15 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 /// A turn, rad, with the error of two decimals. Angles of a file beyond it are degrees as a rule.
 pub const TURN: f64 = std::f64::consts::TAU + 0.01;
 
+/// Reason why angles of a file, rad, are none; `None` if they are.
+pub fn angle_problem(angles: &[f64]) -> Option<&'static str> {
+    if !angles.iter().all(|angle| angle.is_finite()) {
+        return Some("is not a finite number");
+    }
+    let far = angles.iter().any(|angle| angle.abs() > TURN);
+    far.then_some("is in radians, and has more than a turn")
+}
+
 /// Direction cosines this close to 0 and ±1, and lengths (m) this close to 0, are meant to be exact: a right angle
 /// written in decimals must cost nothing on the board.
 const EXACT: f64 = 1e-12;

@@ -14,7 +14,7 @@ pub use body::Coupling;
 pub(crate) use file::fits_board;
 pub use foretorque::arm::LINK_PARAMETERS;
 pub use foretorque::dynamics::MAX_JOINTS;
-pub use geometry::{Capsule, Placement, TURN, Workspace, segment_distance};
+pub use geometry::{Capsule, Placement, TURN, Workspace, angle_problem, segment_distance};
 pub use log_columns::{ColumnNames, EffortKind, LOG_SOURCES, LogColumns, Units};
 
 use foretorque::arm::JointLimits;

@@ -218,8 +218,10 @@ impl LogReader {
             return Err(TableError::at(path, None, problem));
         }
         if !map.gear_ratios.is_empty() && effort != EffortKind::Motor {
-            let problem = "gear_ratios without torques of motors: give effort = \"motor\" in the map of columns, or --effort motor";
-            return Err(TableError::at(path, None, problem));
+            notes.push(format!(
+                "{}: gear_ratios are not used: its torques are not of motors (else effort = \"motor\", or --effort motor)",
+                path.display()
+            ));
         }
         for (joint, (_, scale)) in tau.iter_mut().enumerate() {
             *scale *= match effort {

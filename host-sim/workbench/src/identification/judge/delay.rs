@@ -141,7 +141,8 @@ fn rests(Sums { count, products }: &Sums) -> Option<(DVector<f64>, f64)> {
     (free > 1.0 && rests.min() > 0.0).then_some((rests, free))
 }
 
-/// Minus the logarithm of the likelihood of every delay, up to a constant; `without` one of the parts.
+/// Minus the logarithm of the likelihood of every delay, up to a constant, and the number of averages beyond that of the
+/// columns; `without` one of the parts.
 ///
 /// All joints together: they share the parameters of the links, and 10 s of motion have too few averages for each joint to
 /// have parameters of its own.
@@ -150,7 +151,7 @@ fn costs(
     variances: &[Option<f64>],
     layout: &Layout,
     without: Option<usize>,
-) -> Option<DVector<f64>> {
+) -> Option<(DVector<f64>, f64)> {
     let size = layout.parameters.len() + MORE * layout.joints();
     let mut all = Sums {
         count: 0.0,
@@ -172,7 +173,7 @@ fn costs(
         all.count += own.count;
     }
     let (rests, free) = rests(&all)?;
-    Some(rests.map(|rest| 0.5 * free * rest.ln()))
+    Some((rests.map(|rest| 0.5 * free * rest.ln()), free))
 }
 
 /// The sums of all `parts`.
@@ -217,17 +218,20 @@ fn scatter<'a>(joints: impl Iterator<Item = &'a (DVector<f64>, f64)>) -> f64 {
     (squares.sum::<f64>() / free).sqrt().max(1.0)
 }
 
-/// Finding where the best of all delays is the longest that is tried, with and without every part, and clearly better than none.
+/// Finding where the best of all delays is the longest that is tried, with and without every part, and leaves less than half of
+/// the power that none leaves: no error of the model does so much.
 ///
-/// * `costs` minus the logarithms of the likelihoods, of all parts first      * `spread` [`scatter`] of the joints
-fn beyond(costs: &[DVector<f64>], spread: f64, step_s: f64) -> Option<String> {
-    let best = costs[0].imin();
+/// * `costs` [`costs`] of all parts first
+fn beyond(costs: &[(DVector<f64>, f64)], step_s: f64) -> Option<String> {
+    let best = costs[0].0.imin();
     let at_an_end = best == 0 || best == DELAYS - 1;
-    let gain = costs[0][TRIED] - costs[0][best];
-    // So much lies between a mean and a value so many standard deviations from it.
-    let clear = gain > 0.5 * (CLEAR * ANALYTIC * spread).powi(2);
-    let sure = at_an_end && clear && costs.iter().all(|part| part.imin() == best);
-    sure.then(|| {
+    let halves = |(costs, free): &(DVector<f64>, f64)| {
+        costs[TRIED] - costs[best] > 0.5 * free * std::f64::consts::LN_2
+    };
+    let sure = costs
+        .iter()
+        .all(|part| part.0.imin() == best && halves(part));
+    (at_an_end && sure).then(|| {
         let side = if best == 0 { "ahead of" } else { "behind" };
         format!(
             "torques are {:.0} ms or more {side} the positions: do both have one clock? Shift them",
@@ -252,18 +256,20 @@ pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay]
         return;
     };
     let step_s = step_rows(period_s) as f64 * period_s;
-    let spread = scatter(alone.iter().flatten());
-    if let Some(text) = beyond(&costs, spread, step_s) {
+    if let Some(text) = beyond(&costs, step_s) {
         judgement.find(true, text);
         return;
     }
-    let (mean, analytic) = vertex(&costs[0]);
+    let (mean, analytic) = vertex(&costs[0].0);
     // The jackknife of Quenouille and Tukey.
-    let without: Vec<f64> = costs[1..].iter().map(|costs| vertex(costs).0).collect();
+    let without: Vec<f64> = costs[1..]
+        .iter()
+        .map(|(costs, _)| vertex(costs).0)
+        .collect();
     let centre = without.iter().sum::<f64>() / PARTS as f64;
     let squares: f64 = without.iter().map(|one| (one - centre).powi(2)).sum();
     let jackknife = (squares * (PARTS - 1) as f64 / PARTS as f64).sqrt();
-    let deviation = analytic.max(jackknife) * spread;
+    let deviation = analytic.max(jackknife) * scatter(alone.iter().flatten());
     let (mean, deviation) = (mean * step_s, deviation * step_s);
     if deviation > LONGEST_S {
         return;

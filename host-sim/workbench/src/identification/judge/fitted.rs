@@ -56,29 +56,21 @@ pub(in crate::identification) fn after_fit(
             let text = format!("{name} is {value:.4} {unit}: no arm has it below zero");
             judgement.find(false, text);
         }
-        if let Some((FrictionTerm::Board(FrictionColumn::Offset), joint)) = parameter.friction {
-            offset(judgement, robot, joint, value, rows);
+        if let Some((FrictionTerm::Board(FrictionColumn::Offset), joint)) = parameter.friction
+            && value.abs() > DEVIATIONS * deviations[place]
+        {
+            let share = value.abs() / robot.joints[joint].limits.torque;
+            if share > OFFSET_SHARE {
+                let text = format!(
+                    "torque of joint {} has an offset of {value:.3} N·m, {:.0} % of its limit: the zero of a sensor, or a spring? A bank makes the joint push by it",
+                    joint + 1,
+                    100.0 * share
+                );
+                judgement.find(false, text);
+            }
         }
     }
     is_tilted
-}
-
-/// Finding on the offset of a joint's torque, N·m, that a bank would command without a motion. It refuses where the torque
-/// has little else.
-fn offset(judgement: &mut Judgement, robot: &Robot, joint: usize, offset: f64, rows: &[SampleRow]) {
-    let moving = rows.iter().filter(|row| row.moving[joint]);
-    let squares = moving.map(|row| (row.tau[joint] - offset).powi(2));
-    let squares: Vec<f64> = squares.collect();
-    let rest = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
-    let share = offset.abs() / robot.joints[joint].limits.torque;
-    if share > OFFSET_SHARE {
-        let text = format!(
-            "torque of joint {} has an offset of {offset:.3} N·m, {:.0} % of its limit, beside {rest:.3} N·m RMS: zero the sensor, or take off what a spring carries",
-            joint + 1,
-            100.0 * share
-        );
-        judgement.find(offset.abs() > rest, text);
-    }
 }
 
 /// Joints where the fitted parameters leave half of the power of the torque, and most of what they leave is not noise. The

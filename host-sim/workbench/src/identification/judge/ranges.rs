@@ -16,6 +16,8 @@ const BEYOND: f64 = 3.0;
 const LITTLE: f64 = 0.1;
 /// Change of a sound position over its logged velocity, or its reciprocal.
 const SOUND_RATE: f64 = 1.25;
+/// [`Rate::agreement`] from which noise changes no ratio.
+const CLEAR: f64 = 0.9;
 /// Share of the rows in which a sensor is stuck or a torque is cut off that is noted, and that is refused.
 const CUT_SHARE: (f64, f64) = (0.01, 0.05);
 /// Time for which no sensor gives one value while its joint moves, s.
@@ -50,6 +52,8 @@ pub(super) struct Extremes {
     spikes: f64,
     /// Of positions and logged velocities, and of these and logged accelerations.
     rates: [Rate; 2],
+    /// Velocities and accelerations are used as they are.
+    mapped: bool,
     /// Of position and torque.
     rough: [Roughness; 2],
 }
@@ -80,8 +84,13 @@ impl Rate {
         self.change > 0.0 && self.logged <= 1e-6 * self.change
     }
 
+    /// Share of the power that the two have in common: the rest is noise of either, alike or not.
+    fn agreement(&self) -> f64 {
+        self.product.powi(2) / (self.change * self.logged).max(f64::MIN_POSITIVE)
+    }
+
     fn is_turned(&self) -> bool {
-        self.product < 0.0 && self.product.powi(2) > 0.25 * self.change * self.logged
+        self.product < 0.0 && self.agreement() > 0.25
     }
 }
 
@@ -289,6 +298,7 @@ pub(super) fn scan(
     }
     for (joint, sums) in extremes.iter_mut().enumerate() {
         sums.unwrapped |= log.reader.has_wrapped(joint);
+        sums.mapped |= log.reader.is_mapped;
     }
     Ok((period_s, log.reader.has_currents))
 }
@@ -461,36 +471,49 @@ fn stuck(judgement: &mut Judgement, extremes: &[Extremes]) {
 
 /// Positions that change in another way than the logged velocities, and these than the logged accelerations.
 fn rates(extremes: &[Extremes]) -> Option<String> {
-    let signals = [("positions", "velocities"), ("velocities", "accelerations")];
-    let mut findings = signals.into_iter().enumerate().map(|(signal, names)| {
-        let moved = extremes.iter().enumerate().filter(|(_, seen)| seen.moved());
-        let rates = moved.map(|(joint, seen)| (joint + 1, seen.rates[signal]));
-        rates_of(names, &rates.collect::<Vec<_>>())
-    });
-    findings.find_map(|finding| finding)
+    let moved = || extremes.iter().enumerate().filter(|(_, seen)| seen.moved());
+    let velocities: Vec<_> = moved()
+        .map(|(joint, seen)| (joint + 1, seen.rates[0]))
+        .collect();
+    let names = ("positions", "velocities");
+    let mapped = extremes.iter().any(|seen| seen.mapped);
+    let contradicts = mapped.then(|| contradiction(names, &velocities)).flatten();
+    contradicts
+        .or_else(|| other_scale(names, &velocities))
+        .or_else(|| {
+            let accelerations = moved().map(|(joint, seen)| (joint + 1, seen.rates[1]));
+            let accelerations: Vec<_> = accelerations.filter(|_| mapped).collect();
+            let names = ("velocities", "accelerations");
+            // Derivatives of noisy velocities have another size than the change over two rows.
+            let clear = accelerations
+                .iter()
+                .filter(|(_, rate)| rate.agreement() > CLEAR);
+            let clear: Vec<_> = clear.copied().collect();
+            contradiction(names, &accelerations).or_else(|| other_scale(names, &clear))
+        })
 }
 
-/// Finding on the logged derivatives `logged` of the signals `changing`; joints from 1.
-fn rates_of((changing, logged): (&str, &str), rates: &[(usize, Rate)]) -> Option<String> {
-    let all = |rate: fn(&Rate) -> bool| rates.iter().filter(move |(_, own)| rate(own));
-    let of = |joints: Vec<&(usize, Rate)>| {
-        let joints = joints.iter().map(|(joint, _)| joint.to_string());
-        joints.collect::<Vec<_>>().join(", ")
+/// Finding on logged derivatives that are zero or of the other sign; joints from 1.
+fn contradiction((changing, logged): (&str, &str), rates: &[(usize, Rate)]) -> Option<String> {
+    let of = |is: fn(&Rate) -> bool| {
+        let joints = rates.iter().filter(|(_, rate)| is(rate));
+        let joints: Vec<String> = joints.map(|(joint, _)| joint.to_string()).collect();
+        (!joints.is_empty()).then(|| joints.join(", "))
     };
-    let zero: Vec<_> = all(Rate::is_zero).collect();
-    if !zero.is_empty() {
+    if let Some(joints) = of(Rate::is_zero) {
         return Some(format!(
-            "logged {logged} of joint {} are zero while their {changing} change: leave these columns out (a map without them in --columns-from FILE)",
-            of(zero)
+            "logged {logged} of joint {joints} are zero while their {changing} change: leave these columns out of the map in --columns-from FILE"
         ));
     }
-    let turned: Vec<_> = all(Rate::is_turned).collect();
-    if !turned.is_empty() {
-        return Some(format!(
-            "logged {logged} of joint {} have the other sign than the change of their {changing}: turn one of the two, or take the columns of these joints",
-            of(turned)
-        ));
-    }
+    of(Rate::is_turned).map(|joints| {
+        format!(
+            "logged {logged} of joint {joints} have the other sign than the change of their {changing}: turn one of the two, or leave these columns out of the map in --columns-from FILE"
+        )
+    })
+}
+
+/// Finding on logged derivatives of another size; joints from 1.
+fn other_scale((changing, logged): (&str, &str), rates: &[(usize, Rate)]) -> Option<String> {
     let ratios = rates.iter();
     let ratios = ratios.filter_map(|(joint, rate)| Some((*joint, rate.ratio()?)));
     let ratios: Vec<(usize, (f64, f64))> = ratios.collect();

@@ -11,7 +11,7 @@ use super::via::ViaPath;
 use crate::Refusal;
 use crate::files::from_toml;
 use crate::kinematics::{Twist, rotation_vector, stacked};
-use crate::robot::{Placement, TURN};
+use crate::robot::{Placement, angle_problem};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3, Vector6};
 use serde::Deserialize;
 
@@ -314,8 +314,7 @@ impl PoseFile {
     fn placed(&self, at: &str, before: &Placement) -> Result<Placement, Refusal> {
         finite(&format!("{at}.xyz_m"), &self.xyz_m)?;
         let rpy = self.rpy_rad.unwrap_or_default();
-        if !rpy.iter().all(|angle| angle.abs() <= TURN) {
-            let problem = "is in radians, and has more than a turn";
+        if let Some(problem) = angle_problem(&rpy) {
             return Err(Refusal::of(format!("{at}.rpy_rad"), problem));
         }
         let mut pose = Placement::from_xyz_rpy(self.xyz_m.into(), rpy.into());
