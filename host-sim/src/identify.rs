@@ -266,16 +266,18 @@ fn identify_arm(
     report.findings.extend(findings);
     report.data_check = Some(judgement);
     report.findings.extend(unexplained(report));
-    let bank = bank(robot, &outcome).unwrap_or_else(|error| {
-        let text = format!("boards refuse the fitted parameters: {error}");
-        let finding = Finding {
-            refuses: true,
-            text,
-        };
-        outcome.report.findings.push(finding);
-        None
-    });
+    let (bank, useless) = match bank(robot, &outcome) {
+        Ok(bank) => (bank, None),
+        Err(error) => (
+            None,
+            Some(Finding {
+                refuses: true,
+                text: format!("no board takes the fitted parameters: {error}"),
+            }),
+        ),
+    };
     let report = &mut outcome.report;
+    report.findings.extend(useless.clone());
     report.findings.sort_by_key(|finding| !finding.refuses);
     let report = &outcome.report;
     let refused = report.findings.iter().find(|finding| finding.refuses);
@@ -359,6 +361,9 @@ fn identify_arm(
             );
         }
         return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
+    }
+    if let Some(Finding { text, .. }) = useless {
+        bail!("no bank: {text}");
     }
     verdict(refused, bank.is_some())
 }
