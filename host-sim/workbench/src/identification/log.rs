@@ -198,7 +198,10 @@ impl LogReader {
                 places.map(|place| (place, units[unit]))
             }))
         };
-        let q = quantity(1, ("q", "rad"), &map.q_rad)?.ok_or_else(|| rows.missing("q1_rad"))?;
+        let q = quantity(1, ("q", "rad"), &map.q_rad)?.ok_or_else(|| match map.required {
+            true => rows.missing("q1_rad"),
+            false => no_columns(&rows, robot),
+        })?;
         let qd = quantity(2, ("qd", "rad_s"), &map.qd_rad_s)?;
         let qdd = quantity(3, ("qdd", "rad_s2"), &map.qdd_rad_s2)?;
         let torque = quantity(4, ("tau", "nm"), &map.tau_nm)?;

@@ -43,7 +43,9 @@ pub(super) fn other_unit_of_time(period_s: f64) -> String {
     let units = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)];
     let fits = units.iter().find(|(_, unit)| period_s * unit <= LONGEST_S);
     match fits {
-        Some((unit, _)) if *unit != "s" => format!(": are its times in {unit} (--units t={unit})?"),
+        Some((unit, _)) if *unit != "s" => format!(
+            ": are its times in {unit} (--units t={unit})? A motion needs 5 rows a second or more"
+        ),
         _ => String::new(),
     }
 }

@@ -20,8 +20,9 @@ const AVERAGED_S: f64 = 0.1;
 
 /// Averages beyond the number of columns from which the noise of a joint is estimated.
 const SURE: f64 = 8.0;
-/// Columns of a joint beside those of the model.
-const MORE: usize = 3;
+/// Columns of a joint beside those of the model: offset, friction that falls and that grows with the speed, and gravity along
+/// two axes across the described one, which a base has that is tilted.
+const MORE: usize = 5;
 
 /// Parts of a log that are left out in turn. The scatter of the delays without them counts what a deviation from the
 /// residuals does not: residuals that stay alike for long, and a second smallest cost elsewhere.
@@ -65,11 +66,13 @@ pub(super) fn fast_rows(states: &[Motion], joint: usize, reach: usize) -> Vec<bo
 }
 
 impl Delay {
-    /// Adds row `row` of a log with a row every `period_s` with the torques `tau_nm` around it; an offset and friction that
-    /// falls with the speed stand beside the columns `x`. A row that is not `fast`, or one without all torques, ends an average.
+    /// Adds row `row` of a log with a row every `period_s` with the torques `tau_nm` around it; more columns stand beside the
+    /// columns `x`, `across` among them. A row that is not `fast`, or one without all torques, ends an average.
+    ///
+    /// * `across` torques of gravity along two axes across the described one, N·m
     pub(super) fn add(
         &mut self,
-        x: &[f64],
+        (x, across): (&[f64], [f64; 2]),
         (qd, fast): (f64, bool),
         (row, stride, period_s): (usize, usize, f64),
         tau_nm: &dyn Fn(usize) -> Option<f64>,
@@ -85,7 +88,7 @@ impl Delay {
             return;
         };
         let falling = qd.signum() * (-qd.abs() / FAST_RAD_S).exp();
-        let more: [f64; MORE] = [1.0, falling, qd * qd.abs()];
+        let more: [f64; MORE] = [1.0, falling, qd * qd.abs(), across[0], across[1]];
         let row = [x, &more, &torques].concat();
         let rows = (AVERAGED_S / (stride as f64 * period_s)).round().max(1.0);
         self.last.push_back(DVector::from_vec(row));

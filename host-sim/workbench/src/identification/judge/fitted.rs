@@ -188,7 +188,7 @@ impl Tilt {
 }
 
 /// Gravity along two axes across the described one, m/s², of its size, and the arm under it.
-fn across(robot: &Robot) -> [(Vector3<f64>, RigidBodies); 2] {
+pub(super) fn across(robot: &Robot) -> [(Vector3<f64>, RigidBodies); 2] {
     let (down, size) = (robot.gravity, robot.gravity.norm());
     let one = down.cross(&Vector3::ith(down.iamin(), 1.0));
     let other = down.cross(&one);

@@ -24,7 +24,7 @@ use crate::dynamics::{Motion, PerJoint};
 use crate::robot::{LINK_PARAMETERS, Robot};
 use compare::{Fits, compare};
 use delay::{Delay, delay, fast_rows};
-use fitted::payload;
+use fitted::{across, payload};
 use nalgebra::DMatrix;
 use ranges::{Extremes, scan, units};
 use readings::at_rate;
@@ -191,6 +191,7 @@ pub fn judge(
     let mut sample = Thinned::new(ROWS);
     let mut sums = NormalEquations::new(&layout, 0);
     let mut delays: Vec<Delay> = (0..joints).map(|_| Delay::default()).collect();
+    let across = across(robot);
     // The largest gain of noise; delays are counted in rows of the last log.
     let (mut gain, period_s) = (0.0_f64, judgement.period_s);
     for path in logs {
@@ -208,17 +209,20 @@ pub fn judge(
                 let counts = (own.period_s / period_s - 1.0).abs() < SAME_PERIOD;
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
-                    sample.push((prepared.states[row], tau));
+                    let state = prepared.states[row];
+                    sample.push((state, tau));
+                    let turned = across.each_ref();
+                    let turned = turned.map(|(_, model)| model.gravity_torques(&state.q));
                     for joint in 0..joints {
                         let x = prepared.columns(&layout, row, joint);
-                        let qd = prepared.states[row].qd[joint];
+                        let qd = state.qd[joint];
                         if qd.abs() > own.still_rad_s {
                             sums.joints[joint].add(x, &[tau[joint]]);
                         }
                         let tau = |row: usize| prepared.tau.get(row * joints + joint).copied();
                         if counts {
                             delays[joint].add(
-                                x,
+                                (x, turned.each_ref().map(|tau| tau[joint])),
                                 (qd, fast[joint][row]),
                                 (row, stride, period_s),
                                 &tau,
