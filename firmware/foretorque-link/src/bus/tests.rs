@@ -328,6 +328,9 @@ fn a_board_keeps_the_torque_limits_of_its_drives_and_their_derating() {
     let mut config = config();
     config.joints[1].drive.torque_limit = 7.0;
     let mut board = Board::of(Role::Master, config);
+    // That of the tick, too, from which the bounds of learning follow.
+    let limit = |board: &Board| board.board.session.feed_forward().config().limits[1].torque;
+    assert_eq!(limit(&board), 7.0);
     board.rest(50, &[HostMessage::Arm]);
     board.rest(200, &[]);
     let step = RANGES.torque / 2047.0;
@@ -347,6 +350,10 @@ fn a_board_keeps_the_torque_limits_of_its_drives_and_their_derating() {
         let sent = board.drives.torque[1].abs();
         assert!((sent - torque).abs() <= step, "{celsius} °C: {sent}");
     }
+    board.rest(1, &[HostMessage::Disarm]);
+    board.rest(50, &[]);
+    board.rest(1, &[HostMessage::Configure(Configuration::default())]);
+    assert_eq!(limit(&board), 7.0);
 }
 
 #[test]
