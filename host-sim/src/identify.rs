@@ -169,12 +169,11 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         });
     }
     let fold_period_s = fold_period_s(arguments, robot)?;
-    let logs = [&arguments.logs, &arguments.validate, &arguments.test];
     // The data check judges the training logs alone.
-    let logs = logs
-        .into_iter()
-        .take(if arguments.data_check { 1 } else { 3 });
-    let logs: Vec<&Path> = logs.flatten().map(PathBuf::as_path).collect();
+    let unseen = [&arguments.validate, &arguments.test];
+    let unseen = unseen.into_iter().filter(|_| !arguments.data_check);
+    let logs = std::iter::once(&arguments.logs).chain(unseen).flatten();
+    let logs: Vec<&Path> = logs.map(PathBuf::as_path).collect();
     let rows = PrepareConfig::for_logs(&logs, robot)?;
     let methods = match &arguments.methods[..] {
         [] => METHODS.iter().map(|(method, _)| *method).collect(),
@@ -270,14 +269,14 @@ fn identify_arm(
         Ok(bank) => (bank, None),
         Err(error) => (
             None,
-            Some(Finding {
-                refuses: true,
-                text: format!("no board takes the fitted parameters: {error}"),
-            }),
+            Some(format!("no board takes the fitted parameters: {error}")),
         ),
     };
     let report = &mut outcome.report;
-    report.findings.extend(useless.clone());
+    report.findings.extend(useless.clone().map(|text| Finding {
+        refuses: true,
+        text,
+    }));
     report.findings.sort_by_key(|finding| !finding.refuses);
     let report = &outcome.report;
     let refused = report.findings.iter().find(|finding| finding.refuses);
@@ -362,7 +361,7 @@ fn identify_arm(
         }
         return show!("no bank: boards have no coupled joints; robot.toml is for `torque`");
     }
-    if let Some(Finding { text, .. }) = useless {
+    if let Some(text) = useless {
         bail!("no bank: {text}");
     }
     verdict(refused, bank.is_some())

@@ -58,9 +58,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     on_arm!(robot, A, N, P => torque::<A, N, P>(arguments, robot))
 }
 
-/// Positions this many times their limits are in other units.
-const BEYOND: f64 = 3.0;
-
 /// Times, s, and states one after the other, from a table or a trajectory.
 type States<const N: usize> = Box<dyn Iterator<Item = Result<(Option<f64>, State<N>), TableError>>>;
 
@@ -119,9 +116,9 @@ impl Arguments {
         table.finish()?;
         for (number, (joint, farthest)) in (1..).zip(robot.joints.iter().zip(farthest)) {
             let (low, high) = joint.limits.position;
-            if farthest > BEYOND * low.abs().max(high.abs()) {
+            if farthest > low.abs().max(high.abs()) {
                 show!(
-                    "note  q{number} reaches {farthest:.3} rad, its range is {low:.3} … {high:.3} rad: are these degrees?"
+                    "note  q{number} is {farthest:.3} rad in size, beyond its range of {low:.3} … {high:.3} rad: are these degrees?"
                 )?;
             }
         }

@@ -453,6 +453,9 @@ fn drives_that_turn_two_joints_are_identified() {
         let share = difference(&here, ("2.csv", 18 + drive), ("tau.csv", drive));
         assert!(share < 0.2, "drive {drive}: {share}");
     }
+    here.write("states.csv", states_of(6, &[100.0]));
+    let far = "torque --robot ur5 --in states.csv --out far.csv";
+    here.shows(far, "note  q1 is 100.000 rad in size, beyond its range");
     let run = "run --robot arm.toml --trajectory validation --out x";
     here.refused(run, "without its [coupling]");
     for (values, reason) in [

@@ -277,6 +277,12 @@ noise | are noise: they follow neither the motion nor gravity";
         let mapped = "identify --robot ur5 --log bad.csv --columns-from map.toml --data-check";
         here.refused(mapped, words);
     }
+    here.write(
+        "geared.toml",
+        map.to_owned() + "gear_ratios = [1, 1, 1, 1, 1, 1]\n",
+    );
+    let geared = "identify --robot ur5 --log good.csv --columns-from geared.toml --data-check";
+    here.shows(geared, "gear_ratios are not used");
     let list = "['q1_rad', 'q2_rad', 'q3_rad', 'q4_rad', 'q5_rad', 'q5_rad']";
     here.write("map.toml", map.replacen("'q{}_rad'", list, 1));
     let twice = "identify --robot ur5 --log bad.csv --columns-from map.toml --data-check";
@@ -287,6 +293,18 @@ noise | are noise: they follow neither the motion nor gravity";
         "identify --robot ur5 --log bad.csv --methods wls --out offset",
         warning,
     );
+    // Boards take no such torques.
+    here.write("bad.csv", planted(&good, mistake("millinewtons")));
+    let forced = "identify --robot ur5 --log bad.csv --methods wls --force --out forced";
+    here.refused(
+        forced,
+        "no bank: no board takes the fitted parameters: torque of joint",
+    );
+    assert!(!here.join("forced/parameters.bank").exists());
+    // The filters of a data check are those of the training logs.
+    let alone = "identify --robot ur5 --log good.csv --validate bad.csv --data-check";
+    here.write("bad.csv", planted(&good, mistake("milliseconds")));
+    here.shows(alone, "no finding that refuses");
     // Of two mistakes the check names both.
     let frozen = planted(&good, mistake("frozen"));
     here.write("bad.csv", planted(&frozen, mistake("turned torque 3")));

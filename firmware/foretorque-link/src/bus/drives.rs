@@ -49,7 +49,7 @@ pub struct BusDrives<const N: usize> {
     held: JointVector<N>,
     strays: u32,
     idle: u16,
-    /// The drives are still to be switched off.
+    /// The frames that switch the drives off are still to be sent.
     off_due: bool,
 }
 
@@ -432,7 +432,7 @@ impl<const N: usize> BusDrives<N> {
         saturation
     }
 
-    /// The drives are off, and have been told so.
+    /// The drives are off, and the frames for it are sent.
     pub(super) fn is_off(&self) -> bool {
         self.phase == BusPhase::Off && !self.off_due
     }

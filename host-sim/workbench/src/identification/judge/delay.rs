@@ -222,7 +222,7 @@ fn scatter<'a>(joints: impl Iterator<Item = &'a (DVector<f64>, f64)>) -> f64 {
 }
 
 /// Finding where the best of all delays is the longest that is tried, with and without every part, and leaves less than half of
-/// the power that none leaves: no error of the model does so much.
+/// the power that no delay leaves.
 ///
 /// * `costs` [`costs`] of all parts first
 fn beyond(costs: &[(DVector<f64>, f64)], step_s: f64) -> Option<String> {

@@ -62,7 +62,7 @@ pub(in crate::identification) fn after_fit(
             let share = value.abs() / robot.joints[joint].limits.torque;
             if share > OFFSET_SHARE {
                 let text = format!(
-                    "torque of joint {} has an offset of {value:.3} N·m, {:.0} % of its limit: the zero of a sensor, or a spring? A bank makes the joint push by it",
+                    "torque of joint {} has an offset of {value:.3} N·m, {:.0} % of its limit: is it the zero of a sensor, or a spring? A bank adds it to the torque at all times",
                     joint + 1,
                     100.0 * share
                 );

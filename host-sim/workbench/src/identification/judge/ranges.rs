@@ -50,7 +50,7 @@ pub(super) struct Extremes {
     /// Rows just below the torque limit, at it, and above.
     near_limit: [f64; 3],
     spikes: f64,
-    /// Of positions and logged velocities, and of these and logged accelerations.
+    /// Of positions and logged velocities, and of these and mapped accelerations.
     rates: [Rate; 2],
     /// Velocities and accelerations are used as they are.
     mapped: bool,
@@ -233,7 +233,8 @@ pub(super) fn scan(
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
     let mut last: Vec<LogRow> = Vec::new();
-    let (has_velocity, has_acceleration) = (log.reader.has_velocity(), log.reader.qdd.is_some());
+    let has_velocity = log.reader.has_velocity();
+    let has_acceleration = log.reader.is_mapped && log.reader.qdd.is_some();
     while let Some(row) = log.next_row()? {
         // Over a gap an angle may have wrapped.
         let follows = |before: &LogRow| row.t_s - before.t_s <= GAP_PERIODS * period_s;
@@ -471,25 +472,23 @@ fn stuck(judgement: &mut Judgement, extremes: &[Extremes]) {
 
 /// Positions that change in another way than the logged velocities, and these than the logged accelerations.
 fn rates(extremes: &[Extremes]) -> Option<String> {
-    let moved = || extremes.iter().enumerate().filter(|(_, seen)| seen.moved());
-    let velocities: Vec<_> = moved()
-        .map(|(joint, seen)| (joint + 1, seen.rates[0]))
-        .collect();
-    let names = ("positions", "velocities");
+    // Derivatives of noisy velocities have another size than the change over two rows.
+    let signals = [
+        (("positions", "velocities"), 0.0),
+        (("velocities", "accelerations"), CLEAR),
+    ];
     let mapped = extremes.iter().any(|seen| seen.mapped);
-    let contradicts = mapped.then(|| contradiction(names, &velocities)).flatten();
-    contradicts
-        .or_else(|| other_scale(names, &velocities))
-        .or_else(|| {
-            let accelerations = moved().map(|(joint, seen)| (joint + 1, seen.rates[1]));
-            let accelerations: Vec<_> = accelerations.filter(|_| mapped).collect();
-            let names = ("velocities", "accelerations");
-            // Derivatives of noisy velocities have another size than the change over two rows.
-            let clear = accelerations
-                .iter()
-                .filter(|(_, rate)| rate.agreement() > CLEAR);
-            let clear: Vec<_> = clear.copied().collect();
-            contradiction(names, &accelerations).or_else(|| other_scale(names, &clear))
+    signals
+        .into_iter()
+        .enumerate()
+        .find_map(|(signal, (names, clear))| {
+            let moved = extremes.iter().enumerate().filter(|(_, seen)| seen.moved());
+            let mut rates: Vec<_> = moved
+                .map(|(joint, seen)| (joint + 1, seen.rates[signal]))
+                .collect();
+            let contradicts = mapped.then(|| contradiction(names, &rates)).flatten();
+            rates.retain(|(_, rate)| rate.agreement() > clear);
+            contradicts.or_else(|| other_scale(names, &rates))
         })
 }
 
