@@ -74,8 +74,8 @@ fn bandwidth(text: &str) -> Result<f64, String> {
 /// Argument for runs in trouble.
 #[derive(Debug, Args)]
 pub(super) struct Verdict {
-    /// Exit with success although the board was unarmed, clipped or saturated, or a joint stood still, for more than 5 % of
-    /// the run
+    /// Exit with success although the board latched a fault, was unarmed, clipped or saturated for more than 5 % of the run,
+    /// or a joint hardly moved
     #[arg(long)]
     keep_going: bool,
 }

@@ -181,6 +181,15 @@ impl<Spi: SpiDevice, const N: usize> LocalSensor<N> for JointEncoder<Spi> {
             }
         }
     }
+
+    /// Counts turns on.
+    fn silence(&mut self) {
+        let _ = self.encoder.position();
+    }
+
+    fn miss(&mut self, periods: u32) {
+        self.encoder.miss(periods);
+    }
 }
 
 #[cfg(test)]

@@ -58,7 +58,7 @@ pub struct Statistics {
     pub learn_cost: Cost,
     /// Cost of receiving one byte, in counts of the board's counter.
     pub receive_cost: Cost,
-    /// Hottest motor of the last round of samples, °C; -128 is unknown.
+    /// Hottest motor by the temperatures known last, °C; -128 is unknown.
     pub hottest_c: i8,
     /// Time from the end of a frame until its reply is queued or held for the learner, in counts of the board's counter.
     pub reply_latency: Cost,

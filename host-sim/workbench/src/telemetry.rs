@@ -24,7 +24,7 @@ enum Columns {
 use Columns::{Board, Joints};
 
 const STATE: &str = "flags safety_state safety_reason";
-const QUALITY: &str = "trust information payload_kg guard_phase";
+const QUALITY: &str = "trust information payload_kg phase";
 const DECISION: &str = "decisions decision_reason decision_joint decision_figure";
 const LOSS: &str = "frames_missed frames_refused replies_lost overruns";
 

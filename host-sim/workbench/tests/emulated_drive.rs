@@ -66,8 +66,8 @@ fn start(name: &str, patches: &[(&str, Vec<u16>)]) -> Trial {
 /// With drive and encoder, which stands at `angle` counts; they end after so many readings of the encoder.
 fn equipped(name: &str, angle: u16, encoder_ends: u16, drive_ends: u16) -> Trial {
     let patches = [
-        ("3spi8exchange", encoder(angle, encoder_ends)),
-        ("4pins8pin_high", drive(drive_ends)),
+        ("11peripherals8exchange", encoder(angle, encoder_ends)),
+        ("11peripherals8pin_high", drive(drive_ends)),
     ];
     start(name, &patches)
 }
@@ -223,7 +223,7 @@ fn a_board_with_nothing_plugged_in_refuses_to_arm_and_says_why() {
 
 #[test]
 fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
-    let mut trial = start("blind", &[("4pins8pin_high", drive(NEVER))]);
+    let mut trial = start("blind", &[("11peripherals8pin_high", drive(NEVER))]);
     assert_eq!(trial.client.safety().state, SafetyState::Disarmed);
     for _ in 0..10 {
         let reply = trial.sample(&still());
@@ -238,7 +238,7 @@ fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
 fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
     // `mov.w r0, #256; bx lr`: no byte came in time.
     let silent = vec![0xF44F, 0x7080, 0x4770];
-    let patches = [("3spi8exchange", silent), ("4pins8pin_high", drive(NEVER))];
+    let patches = [("11peripherals8exchange", silent), ("11peripherals8pin_high", drive(NEVER))];
     let mut trial = start("bus", &patches);
     for tick in 0..10 {
         let reply = trial.sample(&still());

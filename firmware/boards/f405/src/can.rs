@@ -64,6 +64,10 @@ const BOFF: u32 = 1 << 2;
 /// Interrupts: a mailbox is empty again, FIFO 0 has a frame.
 const TMEIE: u32 = 1;
 const FMPIE0: u32 = 1 << 1;
+/// Bus off is latched in the status. It interrupts nobody without a further bit.
+const BOFIE: u32 = 1 << 10;
+/// Status: an error was latched; writing it clears it.
+const ERRI: u32 = 1 << 2;
 /// Requests of the three mailboxes that are complete; writing them clears the interrupt.
 const RQCP: u32 = 1 | 1 << 8 | 1 << 16;
 const FINIT: u32 = 1;
@@ -126,7 +130,7 @@ impl<R: Registers> Bxcan<R> {
         (0..polls).find(|_| registers.read(offset::MSR) & INAK != 0)?;
         registers.write(offset::BTR, timing);
         registers.write(offset::MCR, TXFP | ABOM);
-        registers.write(offset::IER, TMEIE | FMPIE0);
+        registers.write(offset::IER, TMEIE | FMPIE0 | BOFIE);
         Some(Self {
             registers,
             since: [0; 3],
@@ -135,10 +139,14 @@ impl<R: Registers> Bxcan<R> {
     }
 
     /// The controller takes no part in the bus: it has left it after too many errors, or has not seen it idle since the
-    /// start. It joins again by itself, after eleven recessive bits.
-    pub fn is_off(&self) -> bool {
-        let outside = self.registers.read(offset::MSR) & INAK != 0;
-        outside || self.registers.read(offset::ESR) & BOFF != 0
+    /// start. It joins again by itself, after 128 times eleven recessive bits. True once, too, where that was since the last
+    /// call.
+    pub fn is_off(&mut self) -> bool {
+        let status = self.registers.read(offset::MSR);
+        if status & ERRI != 0 {
+            self.registers.write(offset::MSR, ERRI);
+        }
+        status & (INAK | ERRI) != 0 || self.registers.read(offset::ESR) & BOFF != 0
     }
 }
 
@@ -297,6 +305,9 @@ mod tests {
         fifo: VecDeque<[u32; 4]>,
         overrun: bool,
         off: bool,
+        /// Bus off was, and the status shows it where that is enabled.
+        was_off: bool,
+        ier: u32,
         /// INAK never comes, as in the emulator, or never goes, as on a dead bus.
         stuck: Option<u32>,
         polls: std::cell::Cell<u32>,
@@ -310,7 +321,8 @@ mod tests {
             match offset {
                 offset::MSR => {
                     self.polls.set(self.polls.get() + 1);
-                    self.stuck.unwrap_or(self.mcr & INRQ)
+                    let was_off = self.was_off && self.ier & BOFIE != 0;
+                    self.stuck.unwrap_or(self.mcr & INRQ) | if was_off { ERRI } else { 0 }
                 }
                 offset::TSR => (0..3)
                     .filter(|mailbox| !self.pending.contains(mailbox))
@@ -329,6 +341,8 @@ mod tests {
         fn write(&mut self, offset: usize, value: u32) {
             match offset {
                 offset::MCR => self.mcr = value,
+                offset::MSR => self.was_off &= value & ERRI == 0,
+                offset::IER => self.ier = value,
                 offset::TSR => {
                     let aborted = |mailbox: &usize| value & ABRQ0 << (8 * mailbox) != 0;
                     self.pending.retain(|mailbox| !aborted(mailbox));
@@ -409,9 +423,9 @@ mod tests {
         };
         assert!(Bxcan::start(stuck(0), 0, POLLS).is_none());
         // A bus that is never idle is one that the controller has not joined.
-        let outside = Bxcan::start(stuck(INAK), 0, POLLS).unwrap();
+        let mut outside = Bxcan::start(stuck(INAK), 0, POLLS).unwrap();
         assert!(outside.is_off());
-        let (can, _) = pair();
+        let (mut can, _) = pair();
         assert!(!can.is_off() && can.registers.polls.get() <= POLLS);
         // 42 MHz / 3 / (1 + 11 + 2).
         assert_eq!(can.registers.btr, 2 | 10 << 16 | 1 << 20);
@@ -522,6 +536,9 @@ mod tests {
             assert!(near.send(&frame, 0) && near.registers.pending.is_empty());
         }
         assert!(!near.is_off());
+        // It has come back before anybody looked.
+        near.registers.was_off = true;
+        assert_eq!([near.is_off(), near.is_off()], [true, false]);
         near.registers.off = true;
         assert!(near.is_off());
         // Nobody acknowledges: the mailboxes fill.

@@ -138,6 +138,11 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BoardDrives<A, N, P> {
         self.ticked
     }
 
+    /// The drives need their supply: torque may flow, or those of a master damp. An emergency stop takes it at once.
+    pub fn powered<C: Clock>(&self, session: &Session<A, N, P, C>) -> bool {
+        session.torque_enabled() || !self.is_off() && !session.stopped()
+    }
+
     /// Lets the drives of a master damp where they follow, or after an emergency stop switches them off. Called after each
     /// message of the host that leaves the torque off, so that an end of the torque between two ticks is seen: the drives
     /// then start softly again.
@@ -247,12 +252,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrive
         SafetyReason::None
     }
 
-    /// A master commands its drives in every period: they would keep the last torque.
+    const SAMPLES_AT_ONCE: u8 = 0;
+
+    /// Drives would keep the last torque: a master commands them in every period, in line the torque follows the safety.
     fn silence(&mut self) {
-        if let Side::Master(_) = self.side {
-            self.measure(&mut None, false);
-            self.silent = true;
-        }
+        self.measure(&mut None, false);
+        self.silent = true;
     }
 
     /// No torque before every drive is switched on.
@@ -260,6 +265,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> LocalSensor<N> for BoardDrive
         match &self.side {
             Side::Master(drives) => !matches!(drives.phase(), BusPhase::Running(_)),
             Side::InLine(_) => false,
+        }
+    }
+
+    fn is_off(&self) -> bool {
+        match &self.side {
+            Side::Master(drives) => drives.is_off(),
+            Side::InLine(_) => true,
         }
     }
 }

@@ -85,6 +85,9 @@ impl<const N: usize> BusDrives<N> {
     pub fn set_period<A: Arm<N, P>, const P: usize>(&mut self, period_s: f32) {
         let limits = SafetyLimits::for_arm::<A, P>(micros(period_s));
         self.steps = limits.step_per_tick.add_scalar(JUMP_MARGIN);
+        if let BusPhase::Damping(left) = &mut self.phase {
+            *left = (f32::from(*left) * self.period_s / period_s) as u16;
+        }
         self.period_s = period_s;
     }
 
@@ -241,15 +244,23 @@ impl<const N: usize> BusDrives<N> {
     /// Looks for a reason to end the torque. `true`: there is a fault.
     #[must_use]
     pub fn supervise(&mut self) -> bool {
+        let silence = self.silence();
         let started = match self.phase {
-            BusPhase::Off | BusPhase::Damping(_) => {
+            BusPhase::Off => {
+                self.losses = 0;
+                // A drive that was away may have come back with another scale.
+                let links = self.links.iter_mut().flatten();
+                let away = links.filter(|link| (silence..u16::MAX).contains(&link.age));
+                away.for_each(JointLink::restart);
+                return self.fault.is_some();
+            }
+            BusPhase::Damping(_) => {
                 self.losses = 0;
                 return self.fault.is_some();
             }
             BusPhase::Enabling(_) => false,
             BusPhase::Running(_) => true,
         };
-        let silence = self.silence();
         for (index, link) in self.links.iter_mut().enumerate() {
             let Some(link) = link else { continue };
             let here = link.reply.position.unwrap_or_default();

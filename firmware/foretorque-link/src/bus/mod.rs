@@ -96,6 +96,8 @@ impl fmt::Display for BusFault {
 }
 
 #[cfg(test)]
+mod board_tests;
+#[cfg(test)]
 mod tests;
 
 /// Result of one period.

@@ -206,6 +206,45 @@ fn a_tick_of_the_timer_reads_the_encoder_too() {
 }
 
 #[test]
+fn turns_are_counted_without_samples_and_lost_where_nobody_counted() {
+    let paced = |board: &mut Board, sample: &JointSample<N>| {
+        board.board.timer();
+        board.sample(sample);
+    };
+    let mut board = Board::new(TurnReference::FromSample);
+    (0..5).for_each(|_| paced(&mut board, &still(0.0)));
+    for k in 1..=64 {
+        board.chip().angle = (256 * k) % 16_384;
+        board.board.timer();
+    }
+    assert_eq!(board.chip().angle, 0, "a whole turn");
+    (0..10).for_each(|_| paced(&mut board, &still(0.0)));
+    assert_eq!(board.read_error(), None);
+    board.assert_refused(SafetyReason::TooFar);
+    // Readings that fail, and time in which nothing ran: the host gives the turn anew.
+    let misses: [fn(&mut Board); 2] = [
+        |board| {
+            board.chip().level = Some(0);
+            (0..50).for_each(|_| _ = board.board.timer());
+            board.chip().level = None;
+        },
+        |board| {
+            board.board.session.note_missed(50);
+            board.board.timer();
+        },
+    ];
+    for miss in misses {
+        miss(&mut board);
+        let mut unmeasured = still(0.0);
+        unmeasured.measured = None;
+        (0..3).for_each(|_| paced(&mut board, &unmeasured));
+        assert_eq!(board.read_error(), Some(EncoderError::NoReference));
+        (0..3).for_each(|_| paced(&mut board, &still(0.0)));
+        assert_eq!(board.read_error(), None);
+    }
+}
+
+#[test]
 fn an_armed_stage_gets_the_torque_of_its_joint() {
     let mut board = Board::armed(NEAR);
     for k in 0..200 {

@@ -91,6 +91,8 @@ pub struct AbsoluteEncoder<Spi> {
     /// Position in counts over all turns, without the zero offset; `None` while the turn is unknown. Wraps after 131 072
     /// turns.
     position: Option<i32>,
+    /// Readings missed since the last good one.
+    missed: u32,
     /// Register whose value the next frame returns.
     requested: Option<Register>,
     rad_per_count: f32,
@@ -114,6 +116,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
             spi,
             config,
             position: None,
+            missed: 0,
             requested: None,
             rad_per_count: sign * TAU / (TURN as f32 * config.ratio),
         })
@@ -133,15 +136,16 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         }
         let position = within + TURN * nearest(turns);
         self.position = Some(position);
+        self.missed = 0;
         Ok(self.rad(position))
     }
 
     /// Position of the joint, rad.
     ///
-    /// Errors: those of a reading; `NoReference`; `Jump`, after which the turn is unknown. Others keep the count of turns,
-    /// which continues if the joint has moved less than `largest_step` at the next good reading.
+    /// Errors: those of a reading; `NoReference`; `Jump`, after which the turn is unknown. Others count as a
+    /// [missed](Self::miss) reading.
     pub fn position(&mut self) -> Result<f32, EncoderError> {
-        let within = self.read()?;
+        let within = self.read().inspect_err(|_| self.miss(1))?;
         let last = self.position.ok_or(EncoderError::NoReference)?;
         // The shorter direction, from −half a turn to half a turn.
         let apart = within.wrapping_sub(last).wrapping_add(TURN / 2);
@@ -152,7 +156,18 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         }
         let position = last.wrapping_add(step);
         self.position = Some(position);
+        self.missed = 0;
         Ok(self.rad(position))
+    }
+
+    /// Takes readings that were left out. The count of turns continues if the joint has moved less than `largest_step` at the
+    /// next good one; the turn is unknown once the joint, at that step in each, can look like that a turn further.
+    pub fn miss(&mut self, readings: u32) {
+        self.missed = self.missed.saturating_add(readings);
+        let steps = self.missed.saturating_add(2);
+        if steps.saturating_mul(u32::from(self.config.largest_step)) >= TURN as u32 {
+            self.position = None;
+        }
     }
 
     /// The turn is known.

@@ -5,6 +5,8 @@
 //! Disarmed ─────────► Armed ───────────────────────────────► RampDown ──► Disarmed
 //!     ▲                 │ stop                                   │ if a fault is latched
 //!     └── clear ── Fault ◄───────────────────────────────────────┘
+//!
+//! every state ── stop, fault of drive or stage ──► Fault
 //! ```
 //!
 //! Only a command of the host arms a board, after fresh, plausible samples. The limits are constants of arm and firmware;

@@ -10,7 +10,7 @@ pub enum SafetyState {
     Disarmed,
     /// Torque of the tick, within the hard limits.
     Armed,
-    /// Torque ramps to zero at the hard slew limit; the pin stays on until then.
+    /// Torque ramps to zero at the hard slew limit, with a brake after that of gravity was kept; the pin stays on until then.
     RampDown,
     /// Torque zero, enable pin off, a fault latched that has to be cleared before arming.
     Fault,

@@ -40,14 +40,29 @@ pub trait LocalSensor<const N: usize> {
     /// the sample is implausible for that reason.
     fn measure(&mut self, sample: &mut Option<JointSample<N>>, at_rest: bool) -> SafetyReason;
 
+    /// Samples that may run in one period of the timer where samples pace the board: that of the period, and one that came
+    /// early or late. The tick's slew limit is half of the hard one, so two sound ticks in a period are within that. With
+    /// 0 every sample waits for the timer, for drives that take one command in a period.
+    const SAMPLES_AT_ONCE: u8 = 2;
+
     /// Called once in every period without a tick, where samples pace the board and none has come.
     #[inline(always)]
     fn silence(&mut self) {}
+
+    /// Takes periods in which neither [`measure`](Self::measure) nor [`silence`](Self::silence) was called.
+    #[inline(always)]
+    fn miss(&mut self, _: u32) {}
 
     /// True while torque has to wait for the drives, although the samples are sound.
     #[inline(always)]
     fn holds(&self) -> bool {
         false
+    }
+
+    /// False while a drive may still be on: nothing that stalls or restarts the processor may run then.
+    #[inline(always)]
+    fn is_off(&self) -> bool {
+        true
     }
 }
 

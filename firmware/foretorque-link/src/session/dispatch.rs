@@ -5,6 +5,8 @@ use super::controller::Arrived;
 use super::mailbox::{Order, Upload};
 use super::protocol::Received;
 use super::{Clock, LocalSensor, Mailboxes, Session};
+use crate::excitation::ExcitationCommand;
+use crate::safety::SafetyReason;
 use crate::wire::{
     BankSource, BoardMessage, Capabilities, FrameBuffer, HostMessage, NackReason, Pacing,
     ReplyMode, size,
@@ -41,7 +43,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                     }
                 }
                 Some(Received::Message(sequence, message)) => {
-                    let reply = match self.execute(sequence, message, mailboxes) {
+                    let reply = match self.execute(sequence, message, mailboxes, sensor) {
                         Ok(Some(reply)) => reply,
                         Ok(None) => continue,
                         Err(reason) => BoardMessage::Nack(reason),
@@ -61,7 +63,13 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         sequence: u16,
         message: HostMessage<N>,
         mailboxes: &mut Mailboxes<N, P>,
+        sensor: &impl LocalSensor<N>,
     ) -> Result<Option<BoardMessage<N>>, NackReason> {
+        // The processor may neither stand still nor restart while a drive is on.
+        let interruptible = || match sensor.is_off() {
+            true => Ok(()),
+            false => Err(NackReason::Unsafe(SafetyReason::StillRamping)),
+        };
         let (mailbox, parameters) = (&mut mailboxes.learner, &mut mailboxes.parameters);
         let Self {
             board,
@@ -166,6 +174,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             HostMessage::Request { code } => controller.request(code, mailbox)?,
             HostMessage::Save => {
                 controller.writable()?;
+                interruptible()?;
                 if board.require(Capabilities::TIMER).is_ok() {
                     let left_us = SAVE_INTERVAL_US.saturating_sub(self.rested_us);
                     let seconds = left_us.div_ceil(1_000_000) as u8;
@@ -203,10 +212,17 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
             }
             HostMessage::Reboot => {
                 controller.at_rest()?;
+                interruptible()?;
                 board.require(Capabilities::REBOOT)?;
                 self.reboot = true;
             }
             HostMessage::Excitation(command) => {
+                if command == ExcitationCommand::Start
+                    && sensor.holds()
+                    && controller.safety.at_rest()
+                {
+                    return Err(NackReason::Unsafe(SafetyReason::Disarmed));
+                }
                 return controller
                     .play(command)
                     .map(|state| Some(BoardMessage::Excitation(state)));

@@ -119,9 +119,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, F: NorFlash> Housekeeping<A, 
         }
     }
 
-    /// The order may erase flash, which stalls every task for seconds.
-    pub fn erases(&self) -> bool {
-        matches!(self.order, Order::Save)
+    /// The order works on the store: an erase stalls every task for seconds, and a search reads all of it.
+    pub fn takes_long(&self) -> bool {
+        matches!(self.order, Order::Save | Order::Restore | Order::ReadStored)
     }
 
     /// Executes the order that waits, where tick and housekeeping take turns. False where none waits.

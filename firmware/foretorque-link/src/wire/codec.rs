@@ -255,6 +255,11 @@ impl Decoder {
         self.lost
     }
 
+    /// Counts the bytes of [`bytes_lost`](Self::bytes_lost) from 0; a frame that has begun goes on.
+    pub fn clear_lost(&mut self) {
+        self.lost = 0;
+    }
+
     /// Takes one byte; `Some` at a delimiter that ends a frame, good or bad. Cannot fail otherwise.
     #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Result<FrameView<'_>, DecodeError>> {

@@ -23,8 +23,8 @@ pub use step::{FeedForwardScratch, adopt, pause, step, step_stale};
 use crate::arm::{Arm, JointLimits};
 use crate::joint::{JointMeasurement, JointSample, JointVector};
 use crate::learning::{
-    ConfigError, Exchange, LearningSample, PAYLOAD_PART, Request, RequestPending, StartDeviations,
-    check_positive, payload_bound,
+    ConfigError, Exchange, LearningSample, MAX_BRIDGED, PAYLOAD_PART, Request, RequestPending,
+    StartDeviations, check_positive, payload_bound,
 };
 use crate::limits::{Flags, cut};
 use core::marker::PhantomData;
@@ -215,6 +215,18 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> FeedForward<A, N, P> {
     /// Takes periods in which neither tick nor pause ran: they count for the time for which a torque without samples is held.
     pub fn miss(&mut self, periods: u32) {
         self.state.stale_ticks = self.state.stale_ticks.saturating_add(periods);
+    }
+
+    /// Leaves out the numbers of ticks that did not run, so that the learner sees a gap; of a long one as many as it can
+    /// bridge, and one more.
+    pub fn skip(&mut self, ticks: u32) {
+        let ticks = ticks.min(MAX_BRIDGED as u32 + 1);
+        let tick = &mut self.state.tick;
+        let left = LearningSample::<N>::LAST_TICK - *tick;
+        *tick = match ticks.checked_sub(left) {
+            None | Some(0) => *tick + ticks,
+            Some(beyond) => beyond - 1,
+        };
     }
 
     /// Learning sample of the tick that has just run; to be called once after every step.

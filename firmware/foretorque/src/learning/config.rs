@@ -85,8 +85,8 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
 
     /// Defaults for an arm; prior standard deviations follow from the description and the limits of the joints.
     ///
-    /// Mass, inertia and rotor of a link: 20 % of the description; centre of mass: 5 % of its distance and 3 mm along each
-    /// axis; friction: table of [`FrictionColumn`](crate::dynamics::FrictionColumn).
+    /// Mass and inertia of a link: 20 % of the description; rotor: 20 %, and 5 % of the torque limit at 10 rad/s²; centre of
+    /// mass: 5 % of its distance and 3 mm along each axis; friction: table of [`FrictionColumn`](crate::dynamics::FrictionColumn).
     ///
     /// * `period_s` period of the tick, s
     ///

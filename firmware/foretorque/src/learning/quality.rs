@@ -1,7 +1,7 @@
 use super::ud::UdFilter;
 use crate::dynamics::FRICTION_COLUMNS;
 
-/// State of the learning supervisor; see the [state diagram](crate::learning).
+/// State of the learning supervisor; the diagram is in `docs/learning.md`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]

@@ -27,7 +27,7 @@ pub struct Selection<'a> {
     /// Link the arm stands on, or the joint that leaves it; the root of the tree when not given.
     pub base: Option<&'a str>,
     /// Link the arm ends at, or the joint that moves it. Without it the arm ends where only fixed, prismatic or mimic
-    /// joints and single fingers follow.
+    /// joints and fingers follow.
     pub tip: Option<&'a str>,
     /// Bodies beyond moving joints beside the path are part of the link that carries them, at their zero.
     pub weld: bool,

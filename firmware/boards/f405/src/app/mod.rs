@@ -222,10 +222,10 @@ impl Idle {
             let fed = self.watchdog.feed_if_all_present();
             let housekeeping = &mut *self.housekeeping;
             ordered |= mailboxes.lock(|mailboxes| housekeeping.begin(&mut mailboxes.parameters));
-            // An erase begins only after a complete check-in: it gives the watchdog a longer time.
-            if ordered && (fed || !housekeeping.erases()) {
+            // A long order begins only after a complete check-in: it gives the watchdog a longer time.
+            if ordered && (fed || !housekeeping.takes_long()) {
                 ordered = false;
-                let outcome = if housekeeping.erases() {
+                let outcome = if housekeeping.takes_long() {
                     self.watchdog.with_longest_time(|| housekeeping.execute())
                 } else {
                     housekeeping.execute()

@@ -74,7 +74,7 @@ static mut TASK: Option<FrameTask> = None;
 
 /// The interrupts of both ports, at one priority above the tick's.
 ///
-/// Cost: the frames that have arrived, at most 16 each way.
+/// Cost: the frames that have arrived, at most 16 taken and 24 sent each way.
 pub fn interrupt() {
     let task = &raw mut TASK;
     // SAFETY: written once, before these interrupts are unmasked, and they all have one priority: none preempts another.
@@ -120,6 +120,9 @@ pub struct BusDrive {
 }
 
 impl LocalSensor<JOINTS> for BusDrive {
+    const SAMPLES_AT_ONCE: u8 =
+        <BoardDrives<Arm, JOINTS, PARAMETERS> as LocalSensor<JOINTS>>::SAMPLES_AT_ONCE;
+
     #[inline(never)]
     fn measure(&mut self, sample: &mut Option<JointSample<JOINTS>>, at_rest: bool) -> SafetyReason {
         match &mut self.drives {
@@ -136,6 +139,10 @@ impl LocalSensor<JOINTS> for BusDrive {
 
     fn holds(&self) -> bool {
         self.drives.as_ref().is_some_and(LocalSensor::holds)
+    }
+
+    fn is_off(&self) -> bool {
+        self.drives.as_ref().is_none_or(LocalSensor::is_off)
     }
 }
 
@@ -203,8 +210,22 @@ impl Drive for BusDrive {
     }
 
     fn follow(&mut self, session: &mut BoardSession) {
-        let on = session.torque_enabled();
-        switch(&mut self.enable, on);
+        self.follow_drives(session);
+        let powered = |drives: &BoardDrives<_, _, _>| drives.powered(session);
+        switch(&mut self.enable, self.drives.as_ref().is_some_and(powered));
+    }
+
+    fn report() {
+        static LOGGED: AtomicU32 = AtomicU32::new(0);
+        let lost = LOST.load(Ordering::Relaxed);
+        if LOGGED.swap(lost, Ordering::Relaxed) != lost {
+            defmt::warn!("bus: {=u32} frames lost", lost);
+        }
+    }
+}
+
+impl BusDrive {
+    fn follow_drives(&mut self, session: &mut BoardSession) {
         // Frames that wait grow old, also where none arrives and none is sent.
         rtic::pend(WAKE);
         let Self { drives, orders, .. } = self;
@@ -218,7 +239,7 @@ impl Drive for BusDrive {
         };
         if !drives.ticked() {
             // A stop does not wait for the next tick.
-            if !on {
+            if !session.torque_enabled() {
                 drives.end(session);
                 give(Order::Add(None));
             }
@@ -227,14 +248,6 @@ impl Drive for BusDrive {
         let off = OFF.swap(false, Ordering::Relaxed);
         let torques = drives.follow(session, off, |bus, frame| give(Order::Send(bus, *frame)));
         give(Order::Add(torques.map(Into::into)));
-    }
-
-    fn report() {
-        static LOGGED: AtomicU32 = AtomicU32::new(0);
-        let lost = LOST.load(Ordering::Relaxed);
-        if LOGGED.swap(lost, Ordering::Relaxed) != lost {
-            defmt::warn!("bus: {=u32} frames lost", lost);
-        }
     }
 }
 

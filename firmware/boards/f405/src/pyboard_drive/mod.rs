@@ -5,8 +5,7 @@
 //! an example: they belong to one joint and its drive, and docs/board.md describes how to find them.** Sources: as there, and the
 //! data sheets AS5047P v1-06 and DS8626, table 9 (alternate functions).
 
-mod pins;
-mod spi;
+mod peripherals;
 
 use core::cell::Cell;
 
@@ -28,8 +27,7 @@ use crate::arm::{BoardSession, JOINTS};
 use crate::board::{Board, Drive, Pin, Ports, start_link};
 use crate::clock::Clocks;
 use crate::pyboard::Pyboard;
-use pins::{DirectionPin, FaultInput, Pulse, StageEnable};
-use spi::EncoderDevice;
+use peripherals::{DirectionPin, EncoderDevice, FaultInput, Pulse, StageEnable};
 
 /// The joint that this board drives, from 0: the shoulder lift.
 const JOINT: usize = 1;
@@ -137,10 +135,20 @@ impl LocalSensor<JOINTS> for StageAndEncoder {
     fn measure(&mut self, sample: &mut Option<JointSample<JOINTS>>, at_rest: bool) -> SafetyReason {
         self.encoder.measure(sample, at_rest)
     }
+
+    #[inline(always)]
+    fn silence(&mut self) {
+        LocalSensor::<JOINTS>::silence(&mut self.encoder);
+    }
+
+    #[inline(always)]
+    fn miss(&mut self, periods: u32) {
+        LocalSensor::<JOINTS>::miss(&mut self.encoder, periods);
+    }
 }
 
 impl Drive for StageAndEncoder {
-    #[inline(never)]
+    #[inline(always)]
     fn start(_: &Clocks) -> Option<Self> {
         let output = PwmWithDirection::new(Pulse::start(), DirectionPin);
         let stage = MotorStage::new(output, StageEnable, FaultInput, SCALE);

@@ -58,10 +58,6 @@ pub(super) struct TickCounters {
     pub(super) cost: CostMeter,
 }
 
-/// Samples that may run in one period of the timer where samples pace the board: its own, and one that came early or late.
-/// The tick's slew limit is half of the hard one, so two sound ticks in a period are within that.
-const MAX_CREDIT: u8 = 2;
-
 /// A sample of the host.
 pub(super) struct Arrived<const N: usize> {
     pub(super) sequence: u16,
@@ -93,6 +89,8 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     credit: Option<u8>,
     /// A tick ran in this period.
     ticked: bool,
+    /// Periods that the timer has missed and the sensor does not know of.
+    missed: u32,
     /// The torque flowed after the last tick.
     flowed: bool,
     pub(super) gaps: SampleGaps,
@@ -125,6 +123,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
             desired: None,
             credit: None,
             ticked: false,
+            missed: 0,
             flowed: false,
             gaps: SampleGaps::default(),
             last_sequence: 0,
@@ -189,11 +188,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         if paced && sample.is_none() {
             self.counters.stale = self.counters.stale.saturating_add(1);
         }
+        sensor.miss(core::mem::take(&mut self.missed));
         if paced || sample.is_some() {
-            return Some(self.tick(sample, mailbox, clock, sensor));
+            let tick = self.tick(sample, mailbox, clock, sensor);
+            // Without samples at once this was the tick of the period that has ended, and not of the next.
+            self.ticked &= S::SAMPLES_AT_ONCE > 0;
+            return Some(tick);
         }
-        let credit = self.credit.unwrap_or(MAX_CREDIT);
-        self.credit = Some(MAX_CREDIT.min(credit + 1));
+        let credit = self.credit.unwrap_or(S::SAMPLES_AT_ONCE);
+        self.credit = Some(S::SAMPLES_AT_ONCE.min(credit + 1));
         self.safety.supervise();
         let ticked = core::mem::take(&mut self.ticked);
         if !ticked {
@@ -213,10 +216,15 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         None
     }
 
-    /// Takes periods of the timer in which nothing ran: the input ages, and a torque without samples is held less long.
+    /// Takes periods of the timer in which nothing ran: the input ages, a torque without samples is held less long, and the
+    /// learner sees a gap where these were ticks.
     pub(super) fn miss(&mut self, periods: u32) {
         self.safety.miss(periods);
         self.feed_forward.miss(periods);
+        self.missed = self.missed.saturating_add(periods);
+        if self.configuration.pacing == Pacing::SysTick {
+            self.feed_forward.skip(periods);
+        }
     }
 
     /// Runs the ticks whose samples were lost, as a timer would have: for the learner they are ticks without a
@@ -275,6 +283,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         }
         self.flowed = flows;
         let held = sensor.holds();
+        if held && self.safety.at_rest() {
+            // A motion that waits for drives does not wait for the next arming.
+            self.stop_motion();
+        }
         let excited = self.player.step(sample.as_ref().filter(|_| !held));
         if let (Some(sample), Some(desired)) = (&mut sample, excited) {
             sample.desired = desired;

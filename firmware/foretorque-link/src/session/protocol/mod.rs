@@ -41,7 +41,7 @@ pub(super) struct Protocol {
 impl Protocol {
     /// Resets counters and telemetry; the sequence continues.
     pub(super) fn reset(&mut self) {
-        self.decoder = Decoder::new();
+        self.decoder.clear_lost();
         self.stream.end();
         let owners = self.counters;
         self.counters = Statistics {

@@ -193,9 +193,14 @@ fn periods_that_the_board_misses_count_for_the_time_out() {
     for pacing in PACINGS {
         let mut timeline = Timeline::armed(pacing);
         let misses = |timeline: &mut Timeline| {
+            let tick = |timeline: &Timeline| timeline.board.session.feed_forward().state().tick;
+            let before = tick(timeline);
             (0..4).for_each(|_| timeline.promises.period());
             timeline.board.session.note_missed(4);
             timeline.silence();
+            // The learner sees the gap where these would have been ticks.
+            let passed = tick(timeline) - before;
+            assert_eq!(passed, if pacing == Pacing::SysTick { 5 } else { 0 });
             timeline.state() != SafetyState::Armed
         };
         let rounds = (1..60).find(|_| misses(&mut timeline)).unwrap();

@@ -190,8 +190,7 @@ friction_columns! {
     }
     /// Friction under load: teeth and bearings are pressed together.
     ///
-    /// A real UR5's shoulder lift has 0.079 (docs/identification.md). A larger prior deviation makes payloads harder to
-    /// estimate.
+    /// A larger prior deviation makes payloads harder to estimate.
     Load {
         basis: |x| x.sign * x.load.abs(),
         symbol: "Fl",

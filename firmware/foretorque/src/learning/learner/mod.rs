@@ -97,7 +97,7 @@ pub struct LearnerState<const N: usize, const P: usize> {
 /// Learner of an arm's parameters from the learning samples of the ticks: one torque row a tick, of joint `tick % N`.
 ///
 /// An [`Estimator`] learns the linear parameters, back-propagation the network candidate of each joint. The supervisor
-/// decides which of them enter the torque; see the [state diagram](crate::learning).
+/// decides which of them enter the torque; its state diagram is in `docs/learning.md`.
 ///
 /// The result depends on the samples alone: the same samples give the same bits, however late they are processed.
 pub struct Learner<A: Arm<N, P>, const N: usize, const P: usize> {

@@ -36,7 +36,7 @@ pub struct SupervisorConfig {
     pub share_memory_s: f32,
     /// Length of relearning, ticks: 5 s, several times the memory of the measured variance.
     pub relearning_ticks: u32,
-    /// Ticks between two commits while following: 8 s.
+    /// Ticks between two commits while following: 8 s; a quarter of it before the first.
     pub commit_ticks: u32,
     /// Common share above which the active set counts as following the estimate, and below which it ceases to.
     pub following_share: (f32, f32),

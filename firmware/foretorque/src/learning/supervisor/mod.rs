@@ -1,5 +1,5 @@
-//! State of the learning supervisor. Its transitions are in `learner/transitions.rs`, its state diagram on the page of
-//! [`learning`](crate::learning).
+//! State of the learning supervisor. Its transitions are in `learner/transitions.rs`, its state diagram in
+//! `docs/learning.md`.
 
 pub(super) mod config;
 pub(super) mod payload_test;

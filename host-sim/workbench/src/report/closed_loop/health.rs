@@ -203,7 +203,8 @@ impl<const N: usize> Health<N> {
         }
     }
 
-    /// Everything that kept the arm from its torque or its motion for more than 5 % of the run, the gravest first.
+    /// Everything that kept the arm from its torque or its motion, the gravest first: a latched fault, a joint that hardly moved,
+    /// all else for more than 5 % of the run.
     pub(super) fn troubles(&self) -> Vec<String> {
         let share = |ticks: usize| ticks as f64 / self.ticks.max(1) as f64;
         let long = |ticks: usize| share(ticks) > TOLERATED;

@@ -50,7 +50,7 @@ pub struct ClosedLoopReport {
     pub run: RunDescription,
     /// Ticks played.
     pub ticks: usize,
-    /// Everything that kept the arm from its torque or motion for more than 5 % of the run, the gravest first.
+    /// Everything that kept the arm from its torque or motion, the gravest first.
     pub troubles: Vec<String>,
     /// Learning in the run.
     pub learnt: LearntRecord,
@@ -250,7 +250,7 @@ impl<const N: usize> ClosedLoopLog<N> {
             .take(frames, f64::from(every) * period_s, period_s);
     }
 
-    /// Everything that kept the arm from its torque or motion for more than 5 % of the run, the gravest first.
+    /// Everything that kept the arm from its torque or motion, the gravest first.
     pub fn troubles(&self) -> Vec<String> {
         self.health.troubles()
     }

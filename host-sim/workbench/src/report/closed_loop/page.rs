@@ -33,7 +33,7 @@ pub fn page<const N: usize>(
         (true, Some(t_s)) => format!("{change:.1} %, from {t_s:.1} s"),
     };
     Page::new(format!("foretorque: {robot} in a closed loop"), lead)
-        .card(trouble, "troubles of more than 5 % of the run")
+        .card(trouble, "kept the arm from its torque or motion")
         .card(
             learnt,
             "learnt change of the torque, RMS share of its limit, and its begin",
