@@ -238,7 +238,10 @@ fn a_board_without_its_encoder_refuses_to_arm_and_says_why() {
 fn a_bus_that_does_not_answer_is_no_position_and_stops_nothing() {
     // `mov.w r0, #256; bx lr`: no byte came in time.
     let silent = vec![0xF44F, 0x7080, 0x4770];
-    let patches = [("11peripherals8exchange", silent), ("11peripherals8pin_high", drive(NEVER))];
+    let patches = [
+        ("11peripherals8exchange", silent),
+        ("11peripherals8pin_high", drive(NEVER)),
+    ];
     let mut trial = start("bus", &patches);
     for tick in 0..10 {
         let reply = trial.sample(&still());
