@@ -226,8 +226,14 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
             "joint '{name}': no velocity limit, {VELOCITY} rad/s is taken"
         ));
     }
+    let fast = velocity.filter(|value| *value > FAST);
+    if let Some(velocity) = fast {
+        notes.push(format!(
+            "joint '{name}': its velocity limit is {velocity} rad/s: are these degrees?"
+        ));
+    }
     let position = match (joint.kind.as_str(), limit.lower, limit.upper) {
-        (_, Some(lower), Some(upper)) if lower < upper => (lower, upper),
+        (kind, Some(lower), Some(upper)) if lower < upper && kind != "continuous" => (lower, upper),
         ("continuous", ..) => {
             notes.push(format!(
                 "joint '{name}' is continuous: its range is taken as ±2π rad"
@@ -265,6 +271,8 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
     })
 }
 
+/// Speed beyond which no drive of an arm turns, rad/s: the fastest without a gear reach 45.
+const FAST: f64 = 50.0;
 /// Largest radius of gyration without a note, in units of the link's length; those of the Panda have up to two.
 const WIDE: f64 = 3.0;
 /// Thickness of a link, m: that of an assumed rod.

@@ -202,11 +202,16 @@ fn joint(node: Node<'_, '_>) -> Result<JointElement, String> {
         Some(element) => optional(element, name),
         None => Ok(None),
     };
+    // An infinite limit is none.
+    let bounded = |name: &str| match child(node, "limit").and_then(|own| own.attribute(name)) {
+        Some(text) if text.trim().parse().is_ok_and(f64::is_infinite) => Ok(None),
+        _ => of("limit", name),
+    };
     let limit = LimitElement {
-        lower: of("limit", "lower")?,
-        upper: of("limit", "upper")?,
-        velocity: of("limit", "velocity")?,
-        effort: of("limit", "effort")?,
+        lower: bounded("lower")?,
+        upper: bounded("upper")?,
+        velocity: bounded("velocity")?,
+        effort: bounded("effort")?,
         acceleration: of("limit", "acceleration")?,
     };
     let damping = of("dynamics", "damping")?.unwrap_or(0.0);

@@ -221,6 +221,26 @@ fn assumptions_are_listed_in_the_notes() {
 }
 
 #[test]
+fn limits_that_are_none_are_not_taken() {
+    // Those of a continuous joint, infinite ones, and a speed in degrees.
+    let elbow = r#""elbow" type="continuous">"#;
+    let limits = r#"<limit lower="-0.5" upper="0.5" velocity="inf" effort="Infinity"/>"#;
+    let text = ARM.replace(elbow, &format!("{elbow}{limits}"));
+    let text = text.replacen("velocity=\"3\"", "velocity=\"180\"", 1);
+    let import = imported(&text);
+    let elbow = import.robot.joints[1].limits;
+    assert_eq!(elbow.position, (-4.0 * FRAC_PI_2, 4.0 * FRAC_PI_2));
+    for note in [
+        "joint 'elbow' is continuous: its range",
+        "joint 'elbow': no velocity limit, 2 rad/s",
+        "joint 'elbow': no torque limit",
+        "joint 'shoulder': its velocity limit is 180 rad/s: are these degrees?",
+    ] {
+        assert!(import.begins(note), "{note}: {:?}", import.notes);
+    }
+}
+
+#[test]
 fn an_arm_ends_where_only_fingers_follow_and_joints_may_name_base_and_tip() {
     let whole = imported(ARM);
     assert_eq!(whole.robot, to_hand(ARM));
@@ -336,6 +356,11 @@ fn values_that_a_file_leaves_out_are_assumed_with_a_note() {
     let upper = r#"<link name="upper"/>"#;
     let camera = r#"<joint name="camera_mount""#;
     let hollow = with(upper, r#"<link name="upper">"#, camera);
+    // A point of mass alone.
+    let point = hollow.replacen(TENSOR, NO_TENSOR, 1);
+    assert!(refusal(&point, &WHOLE).contains("--repair takes the nearest"));
+    let import = parse("t", &point, &repair).unwrap();
+    assert!(import.begins("link 'upper': inertia of all its parts moved"));
     let hollow = hollow.replacen(
         r#"<inertial><mass value="1"/>"#,
         r#"<collision/><inertial><mass value="0"/>"#,

@@ -351,6 +351,13 @@ impl<'a> Tree<'a> {
             )
         })?;
         match inertia_reason(&body) {
+            // Of points alone.
+            Some(_) if selection.repair => {
+                let (repaired, change) = body.repaired();
+                let repair = "inertia of all its parts moved to the nearest of a body, by";
+                notes.push(of_link(moved, format!("{repair} {change:.2e} kg·m²")));
+                Ok(repaired)
+            }
             Some(reason) => Err(of_link(moved, reason)),
             None => Ok(body),
         }

@@ -54,8 +54,9 @@ pub(super) struct Row<const N: usize> {
 
 /// A stretch of a log without a gap.
 pub(super) struct Stretch<const N: usize> {
-    /// Which path it is of.
+    /// Which path it is of, and which of its logs.
     pub(super) path: usize,
+    pub(super) file: usize,
     /// Time of the first row, s.
     start_s: f64,
     pub(super) rows: Vec<Row<N>>,
@@ -109,41 +110,46 @@ pub(super) fn read<const N: usize>(
     notes.extend(missing.map(|text| format!("the logs do not show all columns of {text}")));
     let mut stretches = Vec::new();
     for (number, path) in paths.iter().enumerate() {
-        let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
-        let mut prepared = Vec::new();
-        for ((text, thetas), found) in references.iter().zip(&mut found) {
-            let layout = Layout::new(robot, &text.parse()?);
-            prepared.clear();
-            let mut own = Vec::new();
-            for file in &path.files {
-                let mut take = |preparation: &Preparation, stretch: Prepared| {
+        for (place, file) in path.files.iter().enumerate() {
+            let mut found: [Vec<Vec<[f64; N]>>; 2] = Default::default();
+            let (mut prepared, mut own) = (Vec::new(), Vec::new());
+            for ((text, thetas), found) in references.iter().zip(&mut found) {
+                let layout = Layout::new(robot, &text.parse()?);
+                prepared.clear();
+                let mut take = |preparation: &Preparation, mut stretch: Prepared| {
                     found.push(predictions(&layout, &thetas[number], &stretch));
-                    prepared.push((file.clone(), preparation.clone(), stretch));
+                    // A panel takes more memory than all the rest.
+                    stretch.panel = Vec::new();
+                    prepared.push((preparation.clone(), stretch));
                 };
                 for_each_prepared(file, robot, &layout, &prepare, &mut own, &mut take)?;
             }
-            own.retain(|note| !notes.contains(note));
-            notes.extend(own);
-        }
-        for (k, (file, preparation, stretch)) in prepared.into_iter().enumerate() {
-            let raw = raw_rows(&file, robot)?;
-            let rows = stretch.core.clone().filter_map(|row| {
-                let t_s = stretch.t_s[row];
-                let place = raw.partition_point(|(raw_s, _)| *raw_s < t_s);
-                let measured = raw.get(place)?.1;
-                Some(Row {
-                    measured,
-                    state: stretch.states[row].into(),
-                    tau: std::array::from_fn(|joint| stretch.tau[row * N + joint]),
-                    batch: [found[0][k][row], found[1][k][row]],
-                })
-            });
-            stretches.push(Stretch {
-                path: number,
-                start_s: stretch.t_s[stretch.core.start],
-                rows: rows.collect(),
-                preparation,
-            });
+            for note in own {
+                if !notes.contains(&note) {
+                    notes.push(note);
+                }
+            }
+            let raw = raw_rows(file, robot)?;
+            for (k, (preparation, stretch)) in prepared.into_iter().enumerate() {
+                let rows = stretch.core.clone().filter_map(|row| {
+                    let t_s = stretch.t_s[row];
+                    let place = raw.partition_point(|(raw_s, _)| *raw_s < t_s);
+                    let measured = raw.get(place)?.1;
+                    Some(Row {
+                        measured,
+                        state: stretch.states[row].into(),
+                        tau: std::array::from_fn(|joint| stretch.tau[row * N + joint]),
+                        batch: [found[0][k][row], found[1][k][row]],
+                    })
+                });
+                stretches.push(Stretch {
+                    path: number,
+                    file: place,
+                    start_s: stretch.t_s[stretch.core.start],
+                    rows: rows.collect(),
+                    preparation,
+                });
+            }
         }
     }
     Ok(Logs {
@@ -302,29 +308,39 @@ impl<const N: usize> Scores<N> {
         }
     }
 
-    /// Compares the newest parameters with the start in every window of `rows` rows; errors are shares of `limits`, N·m, so
-    /// that a joint without load does not decide.
+    /// Compares the newest parameters with the start in every window of `rows` rows of a log; errors are shares of `limits`,
+    /// N·m, so that a joint without load does not decide.
     pub(super) fn watch(
         &mut self,
-        stretch: &Stretch<N>,
-        predicted: &Predictions,
+        log: &[(&Stretch<N>, Predictions)],
         rows: usize,
         limits: &[f64; N],
     ) {
-        let squares = |torques: &[f64], begin: usize| {
-            let mut sums = [0.0; N];
-            for k in begin..begin + rows {
-                let row = &stretch.rows[k];
+        // Time, and squares of the errors of the newest parameters and of the start.
+        let mut seen: Vec<(f64, [[f64; N]; 2])> = Vec::new();
+        for (stretch, predicted) in log {
+            for (k, row) in stretch.rows.iter().enumerate() {
+                let mut squares = [[0.0; N]; 2];
                 for joint in moving(row) {
-                    let error = torques[k * N + joint] - row.tau[joint];
-                    sums[joint] += (error / limits[joint]).powi(2);
+                    for (sums, torques) in squares
+                        .iter_mut()
+                        .zip([&predicted.newest, &predicted.frozen])
+                    {
+                        let error = torques[k * N + joint] - row.tau[joint];
+                        sums[joint] = (error / limits[joint]).powi(2);
+                    }
                 }
+                let t_s = stretch.start_s + k as f64 * stretch.preparation.period_s;
+                seen.push((t_s, squares));
             }
-            sums
-        };
-        for begin in (0..stretch.rows.len().saturating_sub(rows)).step_by((rows / 4).max(1)) {
-            let newest = squares(&predicted.newest, begin);
-            let start = squares(&predicted.frozen, begin);
+        }
+        for begin in (0..seen.len().saturating_sub(rows)).step_by((rows / 4).max(1)) {
+            let mut sums = [[0.0; N]; 2];
+            for (_, squares) in &seen[begin..begin + rows] {
+                let pairs = sums.iter_mut().flatten().zip(squares.iter().flatten());
+                pairs.for_each(|(sum, square)| *sum += square);
+            }
+            let [newest, start] = sums;
             let ratio = (newest.iter().sum::<f64>() / start.iter().sum::<f64>()).sqrt();
             let worse = |worst: WorstWindow| ratio > worst.ratio;
             if ratio.is_finite() && self.worst_window.is_none_or(worse) {
@@ -332,7 +348,7 @@ impl<const N: usize> Scores<N> {
                 let most = (0..N).max_by(|a, b| excess(a).total_cmp(&excess(b)));
                 self.worst_window = Some(WorstWindow {
                     ratio,
-                    from_s: stretch.start_s + begin as f64 * stretch.preparation.period_s,
+                    from_s: seen[begin].0,
                     joint: most.unwrap_or_default() + 1,
                 });
             }
@@ -359,23 +375,24 @@ pub(super) fn moving<const N: usize>(row: &Row<N>) -> impl Iterator<Item = usize
 }
 
 /// Rows with motion until the error over the last `window` of them is within `close` times that of rich batch least
-/// squares, geometric mean of the joints that move in it.
+/// squares, geometric mean of the joints that move in it; `path` has stretches with the torques of the newest parameters.
 pub(super) fn motion_until_close<const N: usize>(
-    stretch: &Stretch<N>,
-    newest: &[f64],
+    path: &[(&Stretch<N>, Vec<f64>)],
     window: f64,
     close: f64,
 ) -> Option<usize> {
-    let moves = |&k: &usize| moving(&stretch.rows[k]).next().is_some();
-    let in_motion: Vec<usize> = (0..stretch.rows.len()).filter(moves).collect();
+    let rows = path.iter().flat_map(|(stretch, newest)| {
+        let rows = stretch.rows.iter().zip(newest.chunks_exact(N));
+        rows.filter(|(row, _)| moving(row).next().is_some())
+    });
+    let in_motion: Vec<(&Row<N>, &[f64])> = rows.collect();
     let window = window as usize;
     // The window must end after the learner has had the time: what counts is motion before the window begins.
     (0..in_motion.len().saturating_sub(window)).find(|&begin| {
         let (mut own, mut rich) = (Errors::<N>::default(), Errors::default());
-        for &k in &in_motion[begin..begin + window] {
-            let row = &stretch.rows[k];
+        for (row, newest) in &in_motion[begin..begin + window] {
             for joint in moving(row) {
-                own.0[joint].add(row.tau[joint], newest[k * N + joint]);
+                own.0[joint].add(row.tau[joint], newest[joint]);
                 rich.0[joint].add(row.tau[joint], row.batch[1][joint]);
             }
         }

@@ -272,14 +272,18 @@ pub fn run<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut history = VecDeque::new();
     let mut scores: Vec<Scores<N>> = paths.iter().map(|_| Scores::default()).collect();
     let limits = std::array::from_fn(|joint| f64::from(A::limits()[joint].torque));
+    let mut played: Vec<(&Stretch<N>, Predictions)> = Vec::new();
     for (number, stretch) in stretches.iter().enumerate() {
         progress("log replayed", number, stretches.len());
         // Before, no parameters are as old.
         let skipped = ((AGE_S / period_s) as usize).saturating_sub(history.len());
         let predicted = play(&mut board, &mut history, stretch);
         scores[stretch.path].add(stretch, &predicted, skipped);
-        let rows = (WATCHED_S / period_s) as usize;
-        scores[stretch.path].watch(stretch, &predicted, rows, &limits);
+        played.push((stretch, predicted));
+    }
+    for log in played.chunk_by(|(a, _), (b, _)| (a.path, a.file) == (b.path, b.file)) {
+        let of_path = &mut scores[log[0].0.path];
+        of_path.watch(log, (WATCHED_S / period_s) as usize, &limits);
     }
     let within = within_1_1::<A, N, P>(&stretches, paths.len(), &start, progress)?;
     let (after_others, others) = match paths.len() {
@@ -345,11 +349,11 @@ fn within_1_1<A: Arm<N, P>, const N: usize, const P: usize>(
     let time = |path| {
         progress("fresh on each path", path, paths);
         let mut board = Board::<A, N, P>::new(start)?;
-        let Some(first) = stretches.iter().find(|stretch| stretch.path == path) else {
-            return Ok(None);
-        };
-        let newest = play(&mut board, &mut VecDeque::new(), first).newest;
-        let rows = logs::motion_until_close(first, &newest, WINDOW_S / start.period_s, CLOSE);
+        let mut history = VecDeque::new();
+        let own = stretches.iter().filter(|stretch| stretch.path == path);
+        let own = own.map(|stretch| (stretch, play(&mut board, &mut history, stretch).newest));
+        let own: Vec<(&Stretch<N>, Vec<f64>)> = own.collect();
+        let rows = logs::motion_until_close(&own, WINDOW_S / start.period_s, CLOSE);
         Ok(rows.map(|rows| rows as f64 * start.period_s))
     };
     (0..paths).map(time).collect()

@@ -98,8 +98,9 @@ struct Places {
     errors: [f64; 3],
     /// Sums of the squared distances from the place of the stamps.
     apart: [f64; 3],
-    /// Sum of the squared distances of the neighbours.
-    ways: f64,
+    /// Where one step is more periods than the other: errors by whole periods and in the middle, squared distances of the
+    /// neighbours.
+    differing: [f64; 3],
 }
 
 impl Places {
@@ -116,12 +117,17 @@ impl Places {
             let shares = [stamped, share(before, after), 0.5];
             for joint in 0..three[0].q.len() {
                 let [here, way] = [1, 2].map(|k| three[k].q[joint] - three[0].q[joint]);
+                let errors = shares.map(|share| (here - way * share).powi(2));
                 let own = sums.errors.iter_mut().zip(&mut sums.apart);
-                for ((error, apart), share) in own.zip(shares) {
-                    *error += (here - way * share).powi(2);
+                for (((error, apart), share), own) in own.zip(shares).zip(errors) {
+                    *error += own;
                     *apart += (way * (stamped - share)).powi(2);
                 }
-                sums.ways += way * way;
+                if before != after {
+                    let more = [errors[1], errors[2], way * way];
+                    let sums = sums.differing.iter_mut().zip(more);
+                    sums.for_each(|(sum, more)| *sum += more);
+                }
             }
         }
         sums
@@ -134,10 +140,10 @@ impl Places {
         more(1) > 0.5 * self.apart[1] && more(2) > 0.5 * self.apart[2]
     }
 
-    /// The rows are even and none is lost; `None` where the motion is too small to decide.
+    /// The rows are even and none is lost; `None` where the motion does not decide: an arm begins to move, or hardly moves.
     fn are_even(&self) -> Option<bool> {
-        let [_, by_losses, by_count] = self.errors;
-        (by_losses.min(by_count) < MOVES * self.ways).then_some(by_count < by_losses)
+        let [by_losses, by_count, ways] = self.differing;
+        (by_losses.min(by_count) < MOVES * ways).then_some(by_count < by_losses)
     }
 }
 
@@ -197,6 +203,60 @@ mod tests {
         assert!(!note(&moving(&even, 1), &stamps, "put on a grid"));
         assert!(note(&moving(&even, 4), &even, "positions repeat in 4 rows"));
         assert!(!note(&moving(&even, 1), &even, "positions repeat"));
+    }
+
+    #[test]
+    fn rest_at_the_begin_changes_no_period() {
+        for rest in [100, 500, 2000, 5000] {
+            for times in [2, 4, 8] {
+                // Readings of an arm that rests, then moves, in so many rows each.
+                let rows = rest + 2000 * times;
+                let stamps: Vec<f64> = (0..rows).map(|k| 1e-3 * k as f64).collect();
+                let read = |k: usize| k.max(rest) - (k.max(rest) - rest) % times - rest;
+                let place = |k: usize| 0.9 + 0.5 * (0.025 * (read(k) / times) as f64).sin();
+                let read: Vec<f64> = (0..rows).map(place).collect();
+                let (_, log) = written(&read, &stamps, None);
+                let period_s = 1e-3 * times as f64;
+                let off = log.period_s() / period_s - 1.0;
+                assert!(off.abs() < 1e-3, "{rest} {times}: {}", log.period_s());
+            }
+        }
+        // A logger that is slower at rest.
+        let rest = (0..300).map(|k| 1e-2 * f64::from(k));
+        let stamps: Vec<f64> = rest
+            .chain((0..3500).map(|k| 3.0 + 2e-3 * f64::from(k)))
+            .collect();
+        let read: Vec<f64> = stamps.iter().map(|t| 0.1 * (t - 3.0).max(0.0)).collect();
+        let (_, log) = written(&read, &stamps, None);
+        assert!((log.period_s() - 2e-3).abs() < 2e-6, "{}", log.period_s());
+    }
+
+    #[test]
+    fn late_stamps_behind_the_first_rows_lose_none() {
+        let even: Vec<f64> = (0..8000).map(|k| 4e-3 * f64::from(k)).collect();
+        let mut late_s = 0.0_f64;
+        let stamps = even.iter().enumerate().map(|(k, t)| {
+            late_s = if k > 5000 && k % 125 == 0 {
+                11.2e-3
+            } else {
+                (late_s - 2e-3).max(0.0)
+            };
+            t + late_s
+        });
+        let stamps: Vec<f64> = stamps.collect();
+        let read: Vec<f64> = even.iter().map(|t| 0.02 * t).collect();
+        let (rows, log) = written(&read, &stamps, None);
+        assert_eq!((log.lost, rows.len()), (0, even.len()));
+        for (row, t) in rows.iter().zip(&even) {
+            assert!((row.t_s - t).abs() < 2e-3, "{} at {t}", row.t_s);
+        }
+        // Rows that are lost after them are put in.
+        let kept = |k: &usize| *k < 6000 || k % 50 > 1;
+        let kept: Vec<usize> = (0..8000).filter(kept).collect();
+        let even: Vec<f64> = kept.iter().map(|k| even[*k]).collect();
+        let read: Vec<f64> = even.iter().map(|t| 0.02 * t).collect();
+        let (rows, log) = written(&read, &even, None);
+        assert_eq!((rows.len(), log.lost), (8000, 8000 - kept.len()));
     }
 
     #[test]

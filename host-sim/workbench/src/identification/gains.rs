@@ -19,6 +19,7 @@ const LARGEST_DEVIATION: f64 = 0.1;
 /// Sums over one stand.
 struct Stand {
     from_s: f64,
+    to_s: f64,
     q: PerJoint<f64>,
     current: PerJoint<f64>,
     rows: f64,
@@ -113,20 +114,20 @@ fn add_stands(
 ) -> Result<(), TableError> {
     let reach = still_rad_s * STAND_S;
     let mut stand: Option<Stand> = None;
-    let mut last_s = 0.0;
     loop {
         let row = reader.next_row()?;
-        let still = row.as_ref().is_some_and(|row| match &stand {
-            _ if reader.has_velocity() => row.qd.iter().all(|qd| qd.abs() <= still_rad_s),
-            Some(stand) => stand.is_at(&row.q, reach),
-            None => true,
+        // Velocities that are always zero show no stand: the positions have to agree.
+        let still = row.as_ref().is_some_and(|row| {
+            let slow = row.qd.iter().all(|qd| qd.abs() <= still_rad_s);
+            slow && stand
+                .as_ref()
+                .is_none_or(|stand| stand.is_at(&row.q, reach))
         });
-        let end_s = row.as_ref().map_or(last_s, |row| row.t_s);
-        last_s = end_s;
-        let ends = |stand: &mut Stand| !still || end_s - stand.from_s > 10.0 * STAND_S;
+        let now_s = row.as_ref().map_or(f64::INFINITY, |row| row.t_s);
+        let ends = |stand: &mut Stand| !still || now_s - stand.from_s > 10.0 * STAND_S;
         if let Some(stand) = stand.take_if(ends)
             && stand.rows > 1.0
-            && end_s - stand.from_s >= STAND_S
+            && stand.to_s - stand.from_s >= STAND_S
         {
             let mean = stand.q.map(|sum| sum / stand.rows);
             match stands.last_mut().filter(|last| last.is_at(&mean, reach)) {
@@ -138,11 +139,13 @@ fn add_stands(
         if still {
             let stand = stand.get_or_insert_with(|| Stand {
                 from_s: row.t_s,
+                to_s: row.t_s,
                 q: PerJoint::repeat(joints, 0.0),
                 current: PerJoint::repeat(joints, 0.0),
                 rows: 0.0,
             });
             stand.add(&row.q, &row.tau, 1.0);
+            stand.to_s = row.t_s;
         }
     }
 }
@@ -177,6 +180,20 @@ mod tests {
         for gain in found(1, |t_s| t_s) {
             assert_eq!(gain.stands, 0);
         }
+    }
+
+    #[test]
+    fn velocities_of_zero_and_gaps_make_no_stand() {
+        let of = |header: &str, row: &dyn Fn(u32) -> Vec<f64>| {
+            let (_here, path) = log_of(header, (0..400).map(row));
+            let (_, records) = with_gains(&first_joints(1), &[path], 0.05).expect("a log");
+            records[0].stands
+        };
+        let t_s = |k: u32| 0.01 * f64::from(k);
+        let zero = |k| vec![t_s(k), t_s(k), 1.0, 0.0];
+        assert_eq!(of("t_s,q1_rad,i1_a,qd1_rad_s", &zero), 0);
+        let gaps = |k| vec![t_s(k) + 0.3 * f64::from(k / 40), t_s(k), 1.0];
+        assert_eq!(of("t_s,q1_rad,i1_a", &gaps), 0);
     }
 
     #[test]

@@ -158,11 +158,13 @@ impl LogReader {
         }
         let joints = robot.joint_count();
         let given = robot.log_columns.clone().unwrap_or_default();
+        let (topic, q_rad) = (given.topic.clone(), given.q_rad.clone());
         let topics = Topics {
-            named: given.topic.as_deref(),
-            likeness: &|names| likeness(names, given.q_rad.as_ref(), robot),
+            named: topic.as_deref(),
+            likeness: &|names| likeness(names, q_rad.as_ref(), robot),
         };
-        let mut rows = Rows::named(path, &given.names, &topics)?;
+        let names = given.names.clone();
+        let mut rows = Rows::named(path, &names, &topics)?;
         let mut notes = rows.notes.clone();
         let (map, mapped) = map_of(&rows, given, robot, &mut notes)?;
         let all_units = map.all_units.clone().unwrap_or_default();
@@ -202,8 +204,21 @@ impl LogReader {
             true => rows.missing("q1_rad"),
             false => no_columns(&rows, robot),
         })?;
-        let qd = quantity(2, ("qd", "rad_s"), &map.qd_rad_s)?;
-        let qdd = quantity(3, ("qdd", "rad_s2"), &map.qdd_rad_s2)?;
+        let mut qd = quantity(2, ("qd", "rad_s"), &map.qd_rad_s)?;
+        let mut qdd = quantity(3, ("qdd", "rad_s2"), &map.qdd_rad_s2)?;
+        if qd.is_some() || qdd.is_some() {
+            let empty = Rows::named(path, &names, &topics)?.empty_columns()?;
+            for (columns, kind) in [(&mut qd, "velocities"), (&mut qdd, "accelerations")] {
+                let is_empty =
+                    |columns: &mut Columns| columns.iter().any(|&(place, _)| empty[place]);
+                if columns.take_if(is_empty).is_some() {
+                    let name = path.display();
+                    notes.push(format!(
+                        "{name}: its {kind} are no numbers and are not used"
+                    ));
+                }
+            }
+        }
         let torque = quantity(4, ("tau", "nm"), &map.tau_nm)?;
         let effort = match torque {
             Some(_) => map.effort.unwrap_or_default(),

@@ -77,7 +77,7 @@ pub(super) fn joint_places(
     let joints = robot.joint_count();
     let joint_name = |joint: usize| robot.joints.get(joint).map_or("", |own| own.name.as_str());
     let numbered = |number: usize| format!("{name}{number}_{unit}");
-    let from_0 = has(rows, &numbered(0)) && !has(rows, &numbered(joints));
+    let from_0 = has(rows, &numbered(0));
     let own = |joint: usize| Some(numbered(joint + usize::from(!from_0)));
     let foreign = |joint: usize| mapped?.of(joint, joint_name(joint));
     let any = |name: &dyn Fn(usize) -> Option<String>| {
@@ -98,6 +98,14 @@ pub(super) fn joint_places(
             return Ok(found.map(|found| (found, false)));
         }
     };
+    let last = numbered(joints);
+    if is_own && from_0 && has(rows, &last) {
+        let (first, count) = (numbered(0), joints + 1);
+        let problem = format!(
+            "columns {first} to {last} are of {count} joints: the robot has {joints}; name its own by --columns-from FILE"
+        );
+        return Err(rows.header_error(problem));
+    }
     // A seventh joint in the log of an arm with six is a log of another robot.
     if let Some(next) =
         chosen(joints).filter(|_| mapped.is_none_or(|map| map.around_name().is_none()))
@@ -250,6 +258,8 @@ mod tests {
             "capitals.csv" => own.to_uppercase(),
             "named.csv" => table(named, "t_s", ",", [1.0; 4]),
             "untimed.csv" => table(rtde, "stamp", ",", [1.0; 4]),
+            "ragged.csv" => own.replacen('\n', ",x\n", 1),
+            "seven.csv" => own.replacen("q1_rad", "q0_rad,q1_rad", 1),
             "one.csv" => lines[..2].concat(),
             "none.csv" => lines[0].to_owned(),
             "title.csv" => format!("Arm in cell 4\n{own}"),
@@ -276,6 +286,8 @@ date.csv | is not a finite number: write seconds, with pandas
 capitals.csv | t_s = \"T_S\"\\nq_rad = \"Q{1}_RAD\"\\ntau_nm = \"TAU{1}_NM\"
 named.csv | t_s = \"t_s\"\\nq_rad = \"{name}_rad\"\\ntau_nm = \"{name}_nm\"
 untimed.csv | column timestamp is missing: name it by t_s, or give
+ragged.csv | ragged.csv:2: 19 fields where the header has 20: name every column once
+seven.csv | seven.csv:1: columns q0_rad to q6_rad are of 7 joints: the robot has 6
 one.csv | one.csv: 1 rows, a motion needs 3 at least
 none.csv | none.csv: no rows
 empty.csv | empty.csv: no rows

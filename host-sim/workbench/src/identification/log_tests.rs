@@ -158,6 +158,10 @@ fn mapped(columns: LogColumns) -> Robot {
 #[test]
 fn every_source_gives_the_same_rows() {
     let amid = own().replacen("\n1,", "\n# mark, 2\n1,", 1);
+    // Separators at the ends of the rows, and a column that is not read, first without a number.
+    let ends = own().replace('\n', ",\n");
+    let unread = own().replace('\n', ",1\n").replacen(",1\n", ",x\n", 1);
+    let unread = format!("# {}", unread.replacen(",1\n", ",nan\n", 1));
     let zero = ["q{0}_rad", "qd{0}_rad_s", "tau{0}_nm"];
     for (name, text) in [
         ("own.csv", own()),
@@ -166,12 +170,31 @@ fn every_source_gives_the_same_rows() {
         ("excel.txt", own().replace(',', "\t").replace('.', ",")),
         ("spaces.csv", own().replace(',', "   ")),
         ("comment.csv", format!("# {}", own().replace(',', " "))),
+        ("ends.csv", ends.clone()),
+        ("rows_end.csv", ends.replacen(",\n", "\n", 1)),
+        (
+            "comment_ends.csv",
+            format!("# {}", ends.replacen(",\n", "\n", 1)),
+        ),
+        ("unread.csv", unread),
         ("above.csv", format!("# by hand\n#\n\n# {}", own())),
         ("amid.csv", format!("# by hand\n{amid}")),
         ("zero.csv", table(zero, "t_s", ",", [1.0; 4])),
     ] {
         is_the_motion(&read_text(name, &text, &ur5()).expect(name).0, name);
     }
+    // A driver that has no velocities.
+    let bare = own();
+    let bare = bare.lines().enumerate().map(|(k, line)| {
+        let mut fields: Vec<&str> = line.split(',').collect();
+        fields[7..13]
+            .iter_mut()
+            .for_each(|field| *field = if k > 0 { "nan" } else { field });
+        fields.join(",") + "\n"
+    });
+    let (rows, notes) = read_text("bare.csv", &bare.collect::<String>(), &ur5()).expect("a log");
+    is_the_motion(&rows, "bare.csv");
+    assert!(notes.contains("its velocities are no numbers"), "{notes}");
     let exported = ROS.map(|name| format!("/arm/joint_states/{name}"));
     let exported = exported.each_ref().map(String::as_str);
     let (ms, degrees) = ([1e-3, 1.0, 1.0, 1.0], [1.0, DEGREE, DEGREE, 1.0]);
@@ -200,7 +223,12 @@ fn every_source_gives_the_same_rows() {
     for (text, names, columns) in [
         (&*plain, Vec::new(), format!("{map}\"a{{0}}\"")),
         (&plain, Vec::new(), format!("{map}{list}")),
-        (headless, names, String::new()),
+        (headless, names.clone(), String::new()),
+        (
+            &headless.replace(',', " ").replace('.', ","),
+            names,
+            String::new(),
+        ),
     ] {
         let columns: LogColumns = toml::from_str(&columns).expect("a map");
         let robot = mapped(LogColumns { names, ..columns });

@@ -20,6 +20,8 @@ const MOTION_ROWS: f64 = 8.0;
 /// Largest distance of logged velocities and accelerations from the derivative of the positions, shares of their RMS:
 /// beyond it they are set-points. Differentiation is less accurate for accelerations.
 const TRUST: [f64; 2] = [0.01, 0.03];
+/// Delay of mapped velocities from which they are derived, s.
+const LATE_S: f64 = 3e-3;
 
 /// Settings of the filters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -291,11 +293,25 @@ impl Preparation {
             let (own, derived) = (at(own).motion(preview), at(logged).motion(preview));
             let of = |state: &Motion| [state.qd, state.qdd][order];
             let (mut error, mut size) = (0.0, 0.0);
+            let (mut behind, mut change) = (0.0, 0.0);
             for (own, derived) in own.iter().zip(&derived).take(own.len() - edge).skip(edge) {
-                let (own, derived) = (of(own), of(derived));
-                let apart = own.iter().zip(derived.iter()).map(|(a, b)| (a - b).powi(2));
-                error += apart.sum::<f64>();
-                size += derived.iter().map(|value| value * value).sum::<f64>();
+                for (joint, qdd) in derived.qdd.iter().enumerate() {
+                    let apart = of(own)[joint] - of(derived)[joint];
+                    error += apart * apart;
+                    size += of(derived)[joint].powi(2);
+                    behind -= apart * qdd;
+                    change += qdd * qdd;
+                }
+            }
+            // A signal that is late by L is off by L times its derivative.
+            let late_s = behind / f64::max(change, f64::MIN_POSITIVE);
+            if reader.is_mapped && order == 0 && late_s.abs() > LATE_S.max(0.5 * period_s) {
+                let side = if late_s > 0.0 { "behind" } else { "ahead of" };
+                notes.push(format!(
+                    "{name}: logged velocities are {:.1} ms {side} the positions, which a filter of the driver does; derived instead",
+                    1e3 * late_s.abs()
+                ));
+                continue;
             }
             logged[order] = reader.is_mapped || error <= TRUST[order].powi(2) * size;
             if !logged[order] {
@@ -485,6 +501,7 @@ impl Prepared {
 
 #[cfg(test)]
 mod tests {
+    use super::super::log_tests::{first_joints, log_of};
     use super::*;
     use rand::{Rng, SeedableRng};
     use rand_distr::StandardNormal;
@@ -495,6 +512,36 @@ mod tests {
         let rows = (0..8192).map(|k| 0.5 * (omega * 2e-3 * f64::from(k)).sin());
         rows.map(|q| q + noise * random.sample::<f64, _>(StandardNormal))
             .collect()
+    }
+
+    #[test]
+    fn velocities_that_a_driver_has_delayed_are_derived() {
+        for (late_s, logged) in [(0.0, true), (1e-3, true), (15e-3, false), (-15e-3, false)] {
+            let rows = (0..4000).map(|k| {
+                let t = 4e-3 * f64::from(k);
+                [
+                    t,
+                    0.5 * (3.0 * t).sin(),
+                    1.5 * (3.0 * (t - late_s)).cos(),
+                    1.0,
+                ]
+            });
+            let (_here, path) = log_of("T,q1,v1,e1", rows);
+            let columns = "t_s = 'T'\nq_rad = 'q{}'\nqd_rad_s = 'v{}'\ntau_nm = 'e{}'";
+            let robot = Robot {
+                log_columns: Some(toml::from_str(columns).expect("a map")),
+                ..first_joints(1)
+            };
+            let log = WholeLog::open(&path, &robot).expect("a log");
+            let config = PrepareConfig {
+                motion_hz: 10.0,
+                torque_hz: None,
+                still_rad_s: 0.05,
+            };
+            let mut notes = Vec::new();
+            let found = Preparation::of_log(&log, &config, &path, &mut notes);
+            assert_eq!(found.logged[0], logged, "{late_s} s: {notes:?}");
+        }
     }
 
     #[test]

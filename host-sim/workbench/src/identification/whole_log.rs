@@ -50,6 +50,8 @@ pub struct WholeLog {
     next_s: f64,
     /// The row read last, still without a velocity.
     ahead: [Option<LogRow>; 2],
+    /// Rows since a long step of an even clock: lost ones come before them, or they are late.
+    late: Vec<LogRow>,
     waiting: VecDeque<LogRow>,
     /// Rows put in so far.
     pub(super) lost: usize,
@@ -108,6 +110,7 @@ impl WholeLog {
             last: None,
             next_s: f64::NEG_INFINITY,
             ahead: [None; 2],
+            late: Vec::new(),
             waiting: VecDeque::new(),
             lost: 0,
         };
@@ -167,7 +170,10 @@ impl WholeLog {
 
     /// Queues what follows from the row read last, `None` at the end of the log.
     fn read(&mut self, row: Option<LogRow>) {
-        if self.clock != Clock::Stamps {
+        if self.clock == Clock::Even {
+            self.settle(row.as_ref());
+            row.into_iter().for_each(|row| self.take(row));
+        } else if self.clock == Clock::Arrival {
             row.into_iter().for_each(|row| self.take(row));
         } else if self.reader.has_velocity() {
             row.into_iter().for_each(|row| self.regrid(row));
@@ -201,6 +207,26 @@ impl WholeLog {
         }
     }
 
+    /// Ends a wait for late rows where `row` comes in time. As many rows are lost as time has passed for: the others are put
+    /// on even times.
+    fn settle(&mut self, row: Option<&LogRow>) {
+        let Some((end, last)) = self.late.last().zip(self.last) else {
+            return;
+        };
+        let step_s = row.map_or(f64::INFINITY, |row| row.t_s - end.t_s);
+        if step_s < SOON_PERIODS * self.period_s && self.late.len() < MOST_LATE {
+            return;
+        }
+        let time_s = end.t_s - last.t_s;
+        let rows = self.late.len();
+        let lost = (time_s / self.period_s).round() as usize;
+        let lost = lost.saturating_sub(rows);
+        for (k, mut row) in std::mem::take(&mut self.late).into_iter().enumerate() {
+            row.t_s = last.t_s + time_s * (lost + k + 1) as f64 / (lost + rows) as f64;
+            self.push(row, if k == 0 { lost } else { 0 });
+        }
+    }
+
     /// Queues `row` and the rows lost before it.
     fn take(&mut self, mut row: LogRow) {
         if self.clock == Clock::Arrival {
@@ -214,19 +240,33 @@ impl WholeLog {
             }
             self.next_s += self.period_s;
         }
+        let long = |last: LogRow| self.periods(row.t_s - last.t_s) > 1.0;
+        if !self.late.is_empty() || self.last.is_some_and(long) {
+            self.late.push(row);
+        } else {
+            self.push(row, 0);
+        }
+    }
+
+    /// Queues `lost` rows, then `row`.
+    fn push(&mut self, row: LogRow, lost: usize) {
         if let Some(last) = self.last.replace(row) {
-            let periods = self.periods(row.t_s - last.t_s) as usize;
             let has_velocity = self.reader.has_velocity();
-            for k in 1..periods {
-                let part = k as f64 / periods as f64;
+            for k in 1..=lost {
+                let part = k as f64 / (lost + 1) as f64;
                 self.waiting
                     .push_back(between(&last, &row, part, has_velocity));
             }
-            self.lost += periods - 1;
+            self.lost += lost;
         }
         self.waiting.push_back(row);
     }
 }
+
+/// A row this soon after the one before, in periods of an even clock, makes up for a delay.
+const SOON_PERIODS: f64 = 0.75;
+/// Most rows in a delay.
+const MOST_LATE: usize = 32;
 
 /// Velocities at `here` by the parabola through it and its neighbours; by a straight line where one is missing.
 fn slopes(before: Option<&LogRow>, here: &LogRow, after: Option<&LogRow>) -> PerJoint<f64> {
@@ -389,7 +429,7 @@ impl Held {
         }
         self.count += 1;
         if self.times > 1 {
-            let rests = self.count.is_multiple_of(2 * self.times);
+            let rests = self.count >= 2 * self.times && self.count.is_multiple_of(self.times);
             return if rests { vec![row] } else { Vec::new() };
         }
         self.waiting.push(row);

@@ -30,6 +30,10 @@ impl<const N: usize> StateReader<N> {
     /// Errors: [`TableError`] of the header.
     pub fn open(path: &Path) -> Result<Self, TableError> {
         let rows = Rows::open(path)?;
+        if rows.find("q0_rad")?.is_some() {
+            let problem = "column q0_rad: joints count from 1 here, rename the columns";
+            return Err(rows.header_error(problem.to_owned()));
+        }
         let columns = state_columns(N);
         let places = columns.iter().map(|column| rows.require(column));
         let places = places.collect::<Result<_, _>>()?;

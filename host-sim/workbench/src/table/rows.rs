@@ -18,6 +18,8 @@ pub(crate) struct Rows {
     header_line: u64,
     pub(crate) remedies: Remedies,
     previous_s: Option<f64>,
+    /// A row was read.
+    begun: bool,
     /// Remarks on what was read.
     pub(crate) notes: Vec<String>,
 }
@@ -59,6 +61,9 @@ enum Source {
 
 /// Longest line, bytes. A table is read line by line, and a compressed file can hold a line of any length.
 const LONGEST_LINE: usize = 1 << 20;
+
+/// Rows that show whether a column has numbers.
+const FIRST_ROWS: usize = 100;
 
 /// Bytes of a table until a line is too long.
 struct BoundedLines<R> {
@@ -124,6 +129,7 @@ impl Rows {
                 header_line: 1,
                 remedies: Remedies::OF_STATES,
                 previous_s: None,
+                begun: false,
                 notes,
             });
         }
@@ -138,18 +144,25 @@ impl Rows {
         let start = bytes.fill_buf().map_err(|error| at(path, error))?;
         let (comments, first, length) = beginning(start);
         bytes.consume(length);
-        let is_there = |separator: &u8| first.as_bytes().contains(separator);
-        let separator = SEPARATORS.into_iter().find(is_there).unwrap_or(b',');
-        let split = |line: &str| -> Vec<String> {
+        let split_by = |line: &str, separator: u8| -> Vec<String> {
             let fields = line.split(char::from(separator));
             let fields = fields.map(|field| field.trim().trim_matches('"').to_owned());
             fields.filter(|field| !field.is_empty()).collect()
         };
-        let fields = split(&first);
-        let is_number = |field: &String| number(field.as_bytes(), separator).is_some();
-        let numbers = !fields.is_empty() && fields.iter().all(is_number);
+        // A missing value is a number, too.
+        let are_numbers = |separator: &u8| {
+            let fields = split_by(&first, *separator);
+            let is_number = |field: &String| parsed(field.as_bytes(), *separator).is_some();
+            !fields.is_empty() && fields.iter().all(is_number)
+        };
+        let is_there = |separator: &u8| first.as_bytes().contains(separator);
+        let of_numbers = SEPARATORS.into_iter().filter(is_there).find(are_numbers);
+        let separator = of_numbers.or(SEPARATORS.into_iter().find(is_there));
+        let separator = separator.unwrap_or(b',');
+        let fields = split_by(&first, separator);
+        let numbers = are_numbers(&separator);
         // The comment that names as many columns as there are numbers is the header.
-        let named = |line: &String| split(line.trim_start_matches('#'));
+        let named = |line: &String| split_by(line.trim_start_matches('#'), separator);
         let mut lines = comments.iter().map(named).enumerate();
         let commented = lines.rfind(|(_, names)| numbers && names.len() == fields.len());
         let header_line = match &commented {
@@ -179,7 +192,10 @@ impl Rows {
             let found = found.iter();
             let found = found.map(|name| name.trim_start_matches(['#', '%', ' ']));
             let found = found.filter(|name| separator != b' ' || !name.is_empty());
-            found.map(str::to_owned).collect()
+            let mut found: Vec<String> = found.map(str::to_owned).collect();
+            // A separator ends the header.
+            found.pop_if(|name| name.is_empty());
+            found
         };
         if header.is_empty() {
             return Err(TableError::empty(path));
@@ -200,6 +216,7 @@ impl Rows {
             header_line,
             remedies: Remedies::OF_STATES,
             previous_s: None,
+            begun: false,
             notes: named.into_iter().collect(),
         })
     }
@@ -274,15 +291,38 @@ impl Rows {
                     *record = record.iter().filter(|field| !field.is_empty()).collect();
                     record.set_position(position);
                 }
-                record.len()
+                // A separator may end a row.
+                let ends = record.len() == self.header.len() + 1;
+                let ends = ends && record.iter().next_back().is_some_and(<[u8]>::is_empty);
+                record.len() - usize::from(ends)
             }
         };
         let width = self.header.len();
         if fields != width {
-            let problem = format!("{fields} fields where the header has {width}");
-            return Err(self.row_error(problem + ": delete such rows"));
+            let remedy = match self.begun {
+                true => "delete such rows",
+                false => "name every column once",
+            };
+            let problem = format!("{fields} fields where the header has {width}: {remedy}");
+            return Err(self.row_error(problem));
         }
+        self.begun = true;
         Ok(true)
+    }
+
+    /// Columns of which the first rows have no number: a driver may have none of an optional quantity. The table is read
+    /// again for it by `open`.
+    pub(crate) fn empty_columns(mut self) -> Result<Vec<bool>, TableError> {
+        let mut empty = vec![true; self.header.len()];
+        for _ in 0..FIRST_ROWS {
+            if !self.advance()? {
+                break;
+            }
+            for (column, empty) in empty.iter_mut().enumerate() {
+                *empty &= self.number(column).is_err();
+            }
+        }
+        Ok(empty)
     }
 
     /// Line of the row, or number of the message, from 1.
@@ -330,6 +370,9 @@ impl Rows {
             Some(previous_s) if t_s <= previous_s => {
                 let name = &self.header[column];
                 let remedy = match t_s == previous_s {
+                    _ if matches!(self.source, Source::Bag { .. }) => {
+                        "record the messages of one publisher alone"
+                    }
                     true => self.remedies.same,
                     false => self.remedies.back,
                 };
@@ -342,14 +385,19 @@ impl Rows {
     }
 }
 
-/// The finite number in a field. Where commas do not separate, the decimal sign may be one.
+/// The finite number in a field.
 fn number(field: &[u8], separator: u8) -> Option<f64> {
+    parsed(field, separator).filter(|value| value.is_finite())
+}
+
+/// The number in a field, finite or not. Where commas do not separate, the decimal sign may be one.
+fn parsed(field: &[u8], separator: u8) -> Option<f64> {
     let text = std::str::from_utf8(field).ok()?.trim();
     let parsed = match text.parse() {
         Err(_) if separator != b',' => text.replacen(',', ".", 1).parse(),
         parsed => parsed,
     };
-    parsed.ok().filter(|value: &f64| value.is_finite())
+    parsed.ok()
 }
 
 fn unreadable(path: &Path, error: &csv::Error) -> TableError {

@@ -210,7 +210,10 @@ pub fn judge(
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
                     let state = prepared.states[row];
-                    sample.push((state, tau));
+                    // Brakes may hold an arm at rest.
+                    if state.qd.iter().any(|qd| qd.abs() > own.still_rad_s) {
+                        sample.push((state, tau));
+                    }
                     let turned = across.each_ref();
                     let turned = turned.map(|(_, model)| model.gravity_torques(&state.q));
                     for joint in 0..joints {

@@ -8,6 +8,7 @@ use crate::identification::clock::GAP_PERIODS;
 use crate::identification::log::{LogRow, Roughness, SWAPPED, WITHOUT_ROWS};
 use crate::identification::whole_log::WholeLog;
 use crate::robot::{Joint, Robot};
+use std::collections::VecDeque;
 use std::path::Path;
 
 /// Positions and torques this many times their limits are in other units.
@@ -22,6 +23,8 @@ const CLEAR: f64 = 0.9;
 const CUT_SHARE: (f64, f64) = (0.01, 0.05);
 /// Time for which no sensor gives one value while its joint moves, s.
 const STUCK_S: f64 = 0.5;
+/// Time over which an arm is looked at to see whether it moves, s.
+const SPAN_S: f64 = 0.05;
 /// Largest share of rows that count as errors of single rows.
 const FEW: f64 = 0.01;
 
@@ -44,9 +47,14 @@ pub(super) struct Extremes {
     moving: f64,
     /// Of position and torque.
     unchanged: [Unchanged; 2],
-    pub(super) power: f64,
+    /// Position by the logged velocity, rad.
+    by_velocity: f64,
+    held: Held,
+    /// Squares of the torque and of its second difference, and rows, while the arm moves: brakes may hold it at rest.
+    power: f64,
     scatter: f64,
-    pub(super) rows: f64,
+    busy: f64,
+    rows: f64,
     /// Rows just below the torque limit, at it, and above.
     near_limit: [f64; 3],
     spikes: f64,
@@ -121,6 +129,39 @@ impl Top {
     }
 }
 
+/// Position of a joint whose encoder is read more seldom than the log has rows.
+#[derive(Clone, Copy, Default)]
+struct Held {
+    value: f64,
+    /// Time of the last change, s.
+    since_s: f64,
+    rate: f64,
+    /// Rows for which the rate holds.
+    rows: u8,
+}
+
+impl Held {
+    fn at(value: f64, since_s: f64) -> Self {
+        Self {
+            value,
+            since_s,
+            ..Self::default()
+        }
+    }
+
+    /// Speed of the last change, rad/s, where the value before it stood for longer than `span_s`, in which speeds are taken.
+    fn rate(&mut self, value: f64, t_s: f64, span_s: f64) -> Option<f64> {
+        self.rows = self.rows.saturating_sub(1);
+        if value != self.value {
+            let held_s = t_s - self.since_s;
+            self.rate = (value - self.value) / held_s;
+            self.rows = if held_s > 1.1 * span_s { 2 } else { 0 };
+            (self.value, self.since_s) = (value, t_s);
+        }
+        (self.rows > 0).then_some(self.rate)
+    }
+}
+
 /// Time in which a signal keeps one value.
 #[derive(Clone, Copy, Default)]
 struct Run {
@@ -129,6 +170,8 @@ struct Run {
     to_s: f64,
     /// Part of it in which the joint moves, s.
     moving_s: f64,
+    /// Range of its positions, rad.
+    places: (f64, f64),
 }
 
 /// The run of a signal that lasts, and the one with the most motion.
@@ -141,16 +184,19 @@ struct Unchanged {
 }
 
 impl Unchanged {
-    /// Adds the value at `t_s`; in `moving_s` of the time since the row before, the joint moves.
-    fn add(&mut self, value: f64, t_s: f64, moving_s: f64) {
+    /// Adds the value at `t_s`; in `moving_s` of the time since the row before, the joint moves, and is at `place`, rad.
+    fn add(&mut self, value: f64, t_s: f64, moving_s: f64, place: f64) {
         if value != self.last.value {
             self.last = Run {
                 value,
                 from_s: t_s,
                 to_s: t_s,
                 moving_s: 0.0,
+                places: (place, place),
             };
         }
+        let (low, high) = self.last.places;
+        self.last.places = (low.min(place), high.max(place));
         self.last.to_s = t_s;
         self.last.moving_s += moving_s;
         self.moving_s += moving_s;
@@ -164,10 +210,13 @@ impl Unchanged {
         self.last.value = f64::NAN;
     }
 
-    /// Longest run, if no sound sensor keeps a value for so long, and its share of the motion.
+    /// Longest run, if no sound sensor keeps a value for so long, and its share of the motion. An encoder that flickers at
+    /// rest is no motion.
     fn stuck(&self) -> Option<(Run, f64)> {
         let share = self.longest.moving_s / self.moving_s;
-        (self.longest.moving_s > STUCK_S).then_some((self.longest, share))
+        let (low, high) = self.longest.places;
+        let moved = self.longest.moving_s > STUCK_S && high - low > MOVED.1;
+        moved.then_some((self.longest, share))
     }
 }
 
@@ -213,14 +262,14 @@ impl Extremes {
         cuts.filter(|(value, _)| *value != 0.0)
     }
 
-    /// RMS torque while the joint moves, N·m.
+    /// RMS torque while the arm moves, N·m.
     pub(super) fn rms(&self) -> f64 {
-        (self.power / f64::max(self.rows, 1.0)).sqrt()
+        (self.power / f64::max(self.busy, 1.0)).sqrt()
     }
 
     /// Noise of a row of the torque, N·m: the second difference of white noise has six times its variance.
     pub(super) fn noise(&self) -> f64 {
-        (self.scatter / f64::max(self.rows, 1.0) / 6.0).sqrt()
+        (self.scatter / f64::max(self.busy, 1.0) / 6.0).sqrt()
     }
 }
 
@@ -233,6 +282,7 @@ pub(super) fn scan(
     let mut log = WholeLog::open(path, robot)?;
     let period_s = log.period_s();
     let mut last: Vec<LogRow> = Vec::new();
+    let mut recent: VecDeque<LogRow> = VecDeque::new();
     let has_velocity = log.reader.has_velocity();
     let has_acceleration = log.reader.is_mapped && log.reader.qdd.is_some();
     while let Some(row) = log.next_row()? {
@@ -240,9 +290,26 @@ pub(super) fn scan(
         let follows = |before: &LogRow| row.t_s - before.t_s <= GAP_PERIODS * period_s;
         if !last.last().is_some_and(follows) {
             last.clear();
+            recent.clear();
             let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
             rough.for_each(Roughness::pause);
         }
+        let speed = |joint: usize| match &last[..] {
+            [a, _] => (row.q[joint] - a.q[joint]) / (row.t_s - a.t_s),
+            _ => 0.0,
+        };
+        // A flickering encoder is fast from row to row only.
+        while recent
+            .get(1)
+            .is_some_and(|other| row.t_s - other.t_s >= SPAN_S)
+        {
+            recent.pop_front();
+        }
+        let busy = recent.front().is_some_and(|from| {
+            let way = |joint: usize| (row.q[joint] - from.q[joint]).abs();
+            (0..extremes.len()).any(|joint| way(joint) > MOVED.0 * (row.t_s - from.t_s))
+        });
+        recent.push_back(row);
         for (joint, sums) in extremes.iter_mut().enumerate() {
             let (q, tau) = (row.q[joint], row.tau[joint]);
             let limits = &robot.joints[joint].limits;
@@ -253,13 +320,14 @@ pub(super) fn scan(
             }
             sums.strong += f64::from(tau.abs() > BEYOND * limit);
             sums.rough[0].add(q);
-            sums.scatter += sums.rough[1].add(tau);
+            let scatter = sums.rough[1].add(tau);
             if let [a, b] = &last[..] {
-                let qd = (q - a.q[joint]) / (row.t_s - a.t_s);
-                if qd.abs() > sums.speed {
-                    (sums.speed, sums.fastest_s) = (qd.abs(), b.t_s);
+                let qd = speed(joint);
+                let fast = sums.held.rate(q, row.t_s, row.t_s - a.t_s).unwrap_or(qd);
+                if fast.abs() > sums.speed {
+                    (sums.speed, sums.fastest_s) = (fast.abs(), b.t_s);
                 }
-                sums.fast += f64::from(qd.abs() > BEYOND * limits.velocity);
+                sums.fast += f64::from(fast.abs() > BEYOND * limits.velocity);
                 if qd.abs() > MOVED.0 {
                     let [most, least] = &mut sums.tops;
                     most.add(tau);
@@ -267,10 +335,11 @@ pub(super) fn scan(
                     sums.moving += 1.0;
                 }
                 let logged = b.qd[joint];
-                let signals = sums.unchanged.iter_mut().zip([(q, logged), (tau, qd)]);
-                for (unchanged, (value, speed)) in signals {
+                sums.by_velocity += logged * (row.t_s - b.t_s);
+                let signals = [(q, logged, sums.by_velocity), (tau, qd, q)];
+                for (unchanged, (value, speed, place)) in sums.unchanged.iter_mut().zip(signals) {
                     let moves = f64::from(speed.abs() > MOVED.0);
-                    unchanged.add(value, row.t_s, moves * (row.t_s - b.t_s));
+                    unchanged.add(value, row.t_s, moves * (row.t_s - b.t_s), place);
                 }
                 if has_velocity {
                     sums.rates[0].add(qd, logged);
@@ -279,8 +348,12 @@ pub(super) fn scan(
                         sums.rates[1].add(qdd, b.qdd[joint]);
                     }
                 }
-                sums.power += tau * tau;
                 sums.rows += 1.0;
+                if busy {
+                    sums.power += tau * tau;
+                    sums.scatter += scatter;
+                    sums.busy += 1.0;
+                }
                 let jumps = (b.tau[joint] - a.tau[joint]) * (b.tau[joint] - tau);
                 sums.spikes += f64::from(jumps > (0.2 * limit).powi(2));
                 let share = tau.abs() / limit;
@@ -290,6 +363,7 @@ pub(super) fn scan(
                 }
             } else {
                 sums.unchanged.iter_mut().for_each(Unchanged::pause);
+                sums.held = Held::at(q, row.t_s);
             }
         }
         if last.len() == 2 {
@@ -576,5 +650,45 @@ mod tests {
         });
         let (seen, _) = scanned(rows);
         assert!(seen.noise() < 1e-6, "{}", seen.noise());
+    }
+
+    #[test]
+    fn an_encoder_that_is_read_more_seldom_than_the_others_does_not_jump() {
+        let rows = (0..4000).map(|k| {
+            let t = 2e-3 * f64::from(k);
+            [t, 2.0 * (t - t % 20e-3).sin(), 50.0 * t.sin()]
+        });
+        let (seen, findings) = scanned(rows);
+        assert!((seen.speed - 2.0).abs() < 0.3, "{}", seen.speed);
+        assert!(findings.is_empty(), "{findings:?}");
+        // A single wrong row does.
+        let rows = (0..4000).map(|k| {
+            let t = 2e-3 * f64::from(k);
+            [t, if k == 2000 { 1.0 } else { 0.3 }, 50.0 * t.sin()]
+        });
+        assert!(scanned(rows).0.speed > 100.0);
+    }
+
+    #[test]
+    fn rest_with_closed_brakes_and_a_flickering_encoder_changes_no_figure() {
+        let of = |rest: u32| {
+            let rows = (0..rest + 8000).map(|k| {
+                let t = 1e-3 * f64::from(k);
+                let flicker = 1.5e-3 * f64::from(k / 2 % 2);
+                match f64::from(k) - f64::from(rest) {
+                    before if before < 0.0 => [t, flicker, 0.0],
+                    k => {
+                        let noise = f64::from(u8::from(k % 2.0 == 0.0));
+                        [t, (1e-3 * k).sin(), 40.0 * (1e-3 * k).cos() + noise]
+                    }
+                }
+            });
+            let (seen, findings) = scanned(rows);
+            assert!(findings.is_empty(), "{findings:?}");
+            [seen.rms(), seen.noise()]
+        };
+        for (with, without) in of(10_000).iter().zip(of(0)) {
+            assert!((with / without - 1.0).abs() < 0.1, "{with} {without}");
+        }
     }
 }
