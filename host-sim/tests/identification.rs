@@ -261,6 +261,7 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
     assert_ne!(long, series);
     here.write("long.json", long);
     here.write("geared.toml", "gear_ratios = [nan]");
+    here.write("bare.toml", "# later\n");
     here.write("copy.csv", here.text("good.csv"));
     // Options, and the words of the refusal.
     let cases = "\
@@ -273,6 +274,7 @@ fn a_log_that_does_not_show_what_is_asked_is_refused_in_one_line() {
 --filter fourier --excitation long.json | long.json: excitation: period of 1000000000 s, not above 0
 --methods bp_black_box | bp_black_box has no bank
 --columns-from geared.toml | geared.toml: gear_ratios: NaN is no ratio
+--columns-from bare.toml | bare.toml: no columns: write t_s (or rate_hz), q_rad and tau_nm (or i_a)
 --truth panda | an arm with other parameters
 --filter fourier --excitation other.json | excitation is for robot 'other', not 'ur5'";
     for case in cases.lines() {

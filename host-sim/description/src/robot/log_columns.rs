@@ -118,6 +118,11 @@ impl Units {
         Self { text, given }
     }
 
+    /// There is a unit of currents.
+    pub fn has_currents(&self) -> bool {
+        self.given[5].is_some()
+    }
+
     /// SI value of one unit of time, position, velocity, acceleration, torque column and current; 1 without a unit.
     ///
     /// Velocities and accelerations without a unit follow the positions. Torque columns that hold currents, by `effort`, have
@@ -228,6 +233,10 @@ impl LogColumns {
             Refusal::of(path, format!("not one of {known}, and as a file: {error}"))
         })?;
         let columns: Self = from_toml(&text).map_err(|problem| Refusal::of(path, problem))?;
+        if columns == Self::default() {
+            let problem = "no columns: write t_s (or rate_hz), q_rad and tau_nm (or i_a)";
+            return Err(Refusal::of(path, problem));
+        }
         let mut ratios = columns.gear_ratios.iter();
         match ratios.find(|ratio| !ratio.is_normal()) {
             Some(ratio) => {

@@ -235,6 +235,12 @@ impl LogReader {
             );
             return Err(TableError::at(path, None, problem));
         }
+        if all_units.has_currents() && effort != EffortKind::Current {
+            notes.push(format!(
+                "{}: the unit of i is not used: it has torques (for currents in their columns, --effort current)",
+                path.display()
+            ));
+        }
         if !map.gear_ratios.is_empty() && effort != EffortKind::Motor {
             notes.push(format!(
                 "{}: gear_ratios are not used: its torques are not of motors (else effort = \"motor\", or --effort motor)",

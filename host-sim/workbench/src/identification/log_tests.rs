@@ -253,6 +253,12 @@ fn units_replace_those_of_the_quantities_they_name() {
     for (name, text) in [("lerobot.csv", lerobot), ("franka.csv", franka)] {
         is_the_motion(&read_with(name, &text, "tau=mNm", None), name);
     }
+    let robot = mapped(LogColumns {
+        all_units: Some("i=mA".parse().expect("known")),
+        ..LogColumns::default()
+    });
+    let (_, notes) = read_text("torques.csv", &own(), &robot).expect("a log");
+    assert!(notes.contains("the unit of i is not used"), "{notes}");
     // Currents in the columns of torques.
     let current = Some(EffortKind::Current);
     let [ampere, milli] = [("i=A", 1.0), ("i=mA", 1e-3)].map(|(units, unit)| {

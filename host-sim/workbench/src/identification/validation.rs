@@ -28,8 +28,10 @@ pub(super) struct FileScores {
     range: PerJoint<(f64, f64)>,
     /// Sums over the moving rows, for bounds.
     equations: NormalEquations,
-    /// Seconds, and sums over the moving rows of each.
+    /// Numbers of blocks of `block_s`, and sums over the moving rows of each.
     blocks: Vec<(f64, Vec<PerJoint<ErrorSums>>)>,
+    /// A second; longer in logs of hours.
+    block_s: f64,
     /// A sample of its rows.
     pub(super) sample: Thinned<SampleRow>,
     /// Torques in some of its rows, for the plot.
@@ -63,6 +65,8 @@ fn predictions(
 
 /// Most rows of the sample of an unseen log.
 const SAMPLE: usize = 2000;
+/// Most blocks of the bootstrap.
+const MOST_BLOCKS: usize = 4096;
 /// Most points of the trace.
 const TRACE: usize = 1500;
 
@@ -75,9 +79,38 @@ impl FileScores {
             range: PerJoint::repeat(layout.joints(), (f64::INFINITY, f64::NEG_INFINITY)),
             equations: NormalEquations::new(layout, 0),
             blocks: Vec::new(),
+            block_s: 1.0,
             sample: Thinned::new(SAMPLE),
             trace: Thinned::new(TRACE),
         }
+    }
+
+    /// Begins a block where the row at `t_s` is not of the last one. Of too many, neighbours become one.
+    fn begin_block(&mut self, t_s: f64) {
+        let number = (t_s / self.block_s).floor();
+        if self.blocks.last().is_some_and(|(last, _)| *last == number) {
+            return;
+        }
+        if self.blocks.len() == MOST_BLOCKS {
+            self.block_s *= 2.0;
+            let mut joined: Vec<(f64, Vec<PerJoint<ErrorSums>>)> = Vec::new();
+            for (number, sums) in std::mem::take(&mut self.blocks) {
+                let number = (number / 2.0).floor();
+                match joined.last_mut().filter(|(last, _)| *last == number) {
+                    Some((_, before)) => {
+                        for (before, sums) in before.iter_mut().zip(&sums) {
+                            let both = |joint: usize| before[joint].with(&sums[joint]);
+                            *before = PerJoint::from_fn(sums.len(), both);
+                        }
+                    }
+                    None => joined.push((number, sums)),
+                }
+            }
+            self.blocks = joined;
+            return self.begin_block(t_s);
+        }
+        let none = no_sums(self.range.len());
+        self.blocks.push((number, vec![none; self.moving.len()]));
     }
 
     /// Adds a stretch: model and measurement through the same filter, network output included.
@@ -95,11 +128,7 @@ impl FileScores {
         let stride = preparation.stride();
         let joints = layout.joints();
         for row in prepared.core.clone() {
-            let second = prepared.t_s[row].floor();
-            if self.blocks.last().is_none_or(|(last, _)| *last != second) {
-                let none = vec![no_sums(joints); predicted.len()];
-                self.blocks.push((second, none));
-            }
+            self.begin_block(prepared.t_s[row]);
             for joint in 0..joints {
                 let place = row * joints + joint;
                 let measured = prepared.tau[place];
@@ -285,6 +314,21 @@ mod tests {
     use crate::identification::dataset::random_rows;
     use crate::identification::{ColumnSet, fit_rows};
     use crate::robot::Robot;
+
+    #[test]
+    fn a_log_of_hours_has_a_bounded_number_of_blocks() {
+        let robot = Robot::load("ur5").expect("built in");
+        let mut scores = FileScores::new(&Layout::new(&robot, &ColumnSet::plain()), 2);
+        let pause = |t: u32| t + 1000 * (t / 5000);
+        for t in 0..20_000 {
+            scores.begin_block(f64::from(pause(t)) + 0.5);
+            let (_, block) = scores.blocks.last_mut().expect("begun");
+            block[1][5].add(1.0, 0.0);
+        }
+        assert!((1000..=MOST_BLOCKS).contains(&scores.blocks.len()));
+        let rows = scores.blocks.iter().map(|(_, block)| block[1][5].count);
+        assert_eq!(rows.sum::<f64>(), 20e3);
+    }
 
     /// Errors of weighted least squares and of zero torque on 2000 rows of a UR5 after `change` of each.
     fn split_of(change: &dyn Fn(usize, &mut SampleRow)) -> [Vec<f64>; 2] {
