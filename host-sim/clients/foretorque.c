@@ -9,6 +9,7 @@
 #include <fcntl.h>
 #include <math.h>
 #include <poll.h>
+#include <signal.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -175,7 +176,10 @@ static void board_open(struct board *board, const char *port) {
     cfmakeraw(&settings);
     cfsetspeed(&settings, B2000000);
     tcsetattr(board->port, TCSANOW, &settings);
-    uint8_t hello = HELLO;
+    tcflush(board->port, TCIOFLUSH);
+    /* It ends a frame that a host before has begun. */
+    uint8_t end = 0, hello = HELLO;
+    if (write(board->port, &end, 1) != 1) fail("the port is gone");
     post(board, &hello, 1);
     const uint8_t *content = answer(board, HELLO);
     size_t length = content[4] < sizeof board->arm - 1 ? content[4] : sizeof board->arm - 1;
@@ -244,6 +248,27 @@ static void drives_command(const struct sample *desired, const float *torque, in
     }
 }
 
+static volatile sig_atomic_t interrupted;
+
+static void interrupt(int number) {
+    (void)number;
+    interrupted = 1;
+}
+
+/* Lets the torque go to zero while the drives hold the position; they get every torque on the way, then zero. */
+static void disarm(struct board *board, struct sample *sample, float *torque) {
+    memset(sample->qd, 0, sizeof sample->qd);
+    memset(sample->qdd, 0, sizeof sample->qdd);
+    board_command(board, DISARM);
+    do {
+        drives_read(sample);
+        board_sample(board, sample, torque);
+        drives_command(sample, torque, board->joints);
+    } while (board->safety == ARMED || board->safety == RAMP_DOWN);
+    memset(torque, 0, MOST_JOINTS * sizeof *torque);
+    drives_command(sample, torque, board->joints);
+}
+
 /* A slow swing of every joint that begins at rest. */
 static void motion(double t_s, const double *start, int joints, struct sample *sample) {
     const double size = 0.1, omega = 2.0;
@@ -298,6 +323,8 @@ int main(int count, char **arguments) {
     memcpy(sample.q, start, sizeof start);
     drives_read(&sample);
     for (int k = 0; k < 20; k++) board_sample(&board, &sample, torque); /* the board sees where the arm stands */
+    signal(SIGINT, interrupt);
+    signal(SIGTERM, interrupt);
     board_command(&board, ARM);
 
     log = freopen(name, "w", log); /* A log from before stays where the board refuses. */
@@ -311,7 +338,7 @@ int main(int count, char **arguments) {
     fprintf(log, ",flags\n");
     double begin = seconds();
     long ticks = lround(duration_s / period_s);
-    for (long tick = 0; tick < ticks; tick++) {
+    for (long tick = 0; tick < ticks && !interrupted; tick++) {
         double t_s = (double)tick * period_s, early_s = begin + t_s - seconds();
         if (early_s > 0.0) usleep((useconds_t)(1e6 * early_s));
         drives_read(&sample);
@@ -320,6 +347,7 @@ int main(int count, char **arguments) {
         if (board.safety != ARMED) {
             fprintf(stderr, "error: the board ended the torque: state %d, reason %d (docs/safety.md)\n", board.safety,
                     board.reason);
+            disarm(&board, &sample, torque);
             return 1;
         }
         drives_command(&sample, torque, n);
@@ -333,10 +361,8 @@ int main(int count, char **arguments) {
         fprintf(log, ",%d\n", board.flags);
     }
 
-    board_command(&board, DISARM);
-    do {
-        board_sample(&board, &sample, torque);
-    } while (board.safety == ARMED || board.safety == RAMP_DOWN);
+    disarm(&board, &sample, torque);
+    if (interrupted) fail("interrupted");
     int damaged = ferror(log);
     if (fclose(log) || damaged) fail_at(name);
     printf("%ld ticks\n", ticks);

@@ -12,6 +12,7 @@ import csv
 import math
 import os
 import select
+import signal
 import struct
 import sys
 import termios
@@ -147,11 +148,17 @@ class Board:
             self.sample(desired, measured)
         self._ask(b"\x0a", 4)
 
-    def disarm(self, desired, measured):
-        """Lets the torque go to zero while the drives hold `desired`."""
-        self._ask(b"\x0b", 4)
-        while self.sample(desired, measured) and self.safety[0] in (ARMED, RAMP_DOWN):
-            pass
+    def disarm(self, hold, drives):
+        """Lets the torque go to zero while the drives hold the position `hold`; they get every torque on the way, then zero."""
+        rest = [0.0] * self.joints
+        try:
+            self._ask(b"\x0b", 4)
+            while True:
+                drives.command(hold, rest, self.sample((hold, rest, rest), drives.read()))
+                if self.safety[0] not in (ARMED, RAMP_DOWN):
+                    break
+        finally:
+            drives.command(hold, rest, rest)
 
     def learning(self, on):
         self._ask(bytes([4, on]), 4)
@@ -225,7 +232,7 @@ def drive(board, drives, start, chosen, file):
             # The torque acts in the next period, the measurement is from before it.
             log.writerow([t_s, *measured[0], *desired[1], *desired[2], *measured[1], *torque, board.flags])
     finally:
-        board.disarm(desired, drives.read())
+        board.disarm(desired[0], drives)
 
 
 def main():
@@ -236,6 +243,7 @@ def main():
     arguments.add_argument("--start", type=angles, help="pose, rad,...")
     arguments.add_argument("--log", default="log.csv")
     chosen = arguments.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     if not 1e-4 <= chosen.period_s <= 0.02:
         arguments.error(f"argument --period-s: {chosen.period_s} is not between 0.0001 and 0.02")
     chosen.ticks = round(chosen.seconds / chosen.period_s)

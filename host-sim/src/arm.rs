@@ -135,7 +135,7 @@ impl ArmOptions {
     }
 
     /// The arm called `name`, which may have coupled joints; its notes are printed.
-    fn load_coupled(&self, name: &str) -> Result<Robot, Failure> {
+    pub(super) fn load_coupled(&self, name: &str) -> Result<Robot, Failure> {
         let import = self.import(name)?;
         for note in &import.notes {
             show!("note: {note}")?;

@@ -8,9 +8,9 @@ use super::{Failure, bail, not_over, unusable};
 use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusJoint, Role, Wires, Wiring};
-use foretorque_link::drives::{ControlMode, Frame, Protocol};
+use foretorque_link::drives::{Frame, Protocol};
 use foretorque_workbench::bus::{
-    Ask, BusChoice, BusError, Network, Profile, WiredNetwork, real_time,
+    Ask, BusChoice, BusError, Network, Profile, WiredNetwork, forget_typed, real_time,
 };
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::robot::Robot;
@@ -86,6 +86,7 @@ impl Network for Attended {
 
 /// Asks whoever is at the terminal for something, and waits until it is done.
 pub(super) fn prompt(request: &str) -> io::Result<()> {
+    forget_typed();
     write_line(format_args!("{request}, then press Enter"))?;
     let mut line = String::new();
     match io::stdin().lock().read_line(&mut line)? {
@@ -96,6 +97,7 @@ pub(super) fn prompt(request: &str) -> io::Result<()> {
 
 fn request(ask: &Ask) -> String {
     match ask {
+        Ask::Clear => "keep clear: each joint moves slowly to both sides of the pose".to_owned(),
         Ask::Pose(pose) => format!("put the arm into the pose {pose:?} rad"),
         Ask::Turn { joint, by_rad } => {
             let degrees = by_rad.to_degrees();
@@ -171,8 +173,8 @@ impl RoleName {
             (Self::InLine, Protocol::Cia402(_)) => {
                 Some("in line no torque can be added to the commands of CiA 402 drives")
             }
-            (Self::InLine, Protocol::Odrive(odrive)) if odrive.mode != ControlMode::Position => {
-                Some("in line its commands need positions: mode = \"position\"")
+            (_, protocol) if protocol.is_without_position() => {
+                Some("its commands need positions: mode = \"position\"")
             }
             _ => None,
         }

@@ -13,7 +13,7 @@ use foretorque::learning::rated_payload;
 use foretorque_link::bank::Parameters;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{
-    BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step,
+    BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step, usual_time,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::WholeFile;
@@ -105,7 +105,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .filter_map(|name| Some((*name, name.on_arm()?)))
         .collect();
     if !on_arm.is_empty() {
-        on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot, &on_arm))?;
+        let done = on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot, &on_arm));
+        usual_time();
+        done?;
     }
     for name in wanted {
         if name.on_arm().is_none() {
@@ -115,7 +117,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     if arguments.step.is_none() {
         let bank = arguments.out.join("identified/parameters.bank");
-        show!("next: host-sim drive --bank {} --learn", bank.display())?;
+        show!(
+            "next: host-sim drive --profile {} --bus {} --bank {} --trajectory validation --learn --out DIR",
+            arguments.profile.display(),
+            arguments.bus,
+            bank.display()
+        )?;
     }
     Ok(())
 }
@@ -149,7 +156,9 @@ impl Arguments {
                 ];
                 let mut drive: drive::Arguments = of(words.as_flattened())?;
                 drive.arm = self.arm.clone();
-                drive::run(&drive)
+                let driven = drive::run(&drive);
+                usual_time();
+                driven
             }
             StepName::Identify => {
                 let log = format!("{driven}/log.csv");
@@ -232,7 +241,11 @@ impl Arguments {
             if outcome.is_err() {
                 break;
             }
-            show!("{name:?}: passed")?;
+            let shown = arm.found.iter().any(|found| found.gain.is_some());
+            match *step == Step::Weight && !shown {
+                true => show!("{name:?}: it shows the gain of no joint, take a heavier one")?,
+                false => show!("{name:?}: passed")?,
+            }
         }
         put_json(&mut place, arm.found.as_slice())?;
         place.finish()?;

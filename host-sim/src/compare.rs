@@ -84,23 +84,35 @@ fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
         }
         Value::Array(values) if values.len() <= LONGEST => {
             for (number, value) in (1..).zip(values) {
-                // Parameters and paths are called by their names.
-                let mut fields = ["name", "path"].iter();
-                let named = fields.find_map(|field| value.get(field)?.as_str());
-                let name = named.map_or(number.to_string(), str::to_owned);
-                flatten(below(&name), value, into);
+                flatten(below(&called(number, value)), value, into);
             }
         }
-        Value::Array(values) if values.iter().all(|value| value.get("name").is_some()) => {
-            for value in values {
-                let name = value["name"].as_str().unwrap_or_default();
-                flatten(below(name), value, into);
+        // Of curves every point would be a line.
+        Value::Array(values) if values.iter().all(Value::is_object) => {
+            for (number, value) in (1..).zip(values) {
+                flatten(below(&called(number, value)), value, into);
             }
         }
         Value::Array(_) | Value::Null => {}
         figure => {
             into.insert(key, figure.clone());
         }
+    }
+}
+
+/// Name of an entry in a list: by what tells it from the others, else its number.
+fn called(number: usize, value: &Value) -> String {
+    let fields = [
+        "name", "path", "arm", "scenario", "seed", "limit", "of", "figure",
+    ];
+    let named = fields.iter().filter_map(|field| match value.get(field)? {
+        Value::String(text) => Some(text.clone()),
+        Value::Number(number) => Some(number.to_string()),
+        _ => None,
+    });
+    match named.collect::<Vec<_>>().join("/") {
+        none if none.is_empty() => number.to_string(),
+        named => named,
     }
 }
 
@@ -129,10 +141,13 @@ mod tests {
     fn figures_are_called_by_their_way_through_the_report() {
         let report = serde_json::json!({
             "rank": 52, "none": null, "curve": vec![0; 40],
+            "runs": (0..17).map(|seed| serde_json::json!({"arm": "a", "seed": seed, "error": 0.5})).collect::<Vec<_>>(),
             "methods": {"wls": {"parameters": [{"name": "Ia1", "value": 0.5}], "rmse_nm": [1.0, null]}},
         });
         let mut figures = BTreeMap::new();
         flatten(String::new(), &report, &mut figures);
+        assert_eq!(figures.get("runs.a/16.error"), Some(&0.5.into()));
+        figures.retain(|key, _| !key.starts_with("runs"));
         let keys: Vec<&str> = figures.keys().map(String::as_str).collect();
         let expected = [
             "methods.wls.parameters.Ia1.name",

@@ -149,6 +149,14 @@ impl DisturbanceArguments {
         if let Some((option, from_s)) = payloads.chain(pushes).find(|it| it.1 >= duration_s) {
             bail!("{option}: it begins at {from_s} s, the motion ends at {duration_s:.3} s");
         }
+        let mut held: Vec<_> = self.payload.iter().map(|it| it.time_s.clone()).collect();
+        held.sort_by(|a, b| a.start.total_cmp(&b.start));
+        if let Some(pair) = held.windows(2).find(|pair| pair[1].start < pair[0].end) {
+            let (next_s, end_s) = (pair[1].start, pair[0].end);
+            bail!(
+                "--payload: one begins at {next_s} s, the one before ends at {end_s} s: the arm has one in its hand at a time"
+            );
+        }
         for During { what, time_s } in &self.payload {
             let payload = Payload::cube(*what, self.payload_com, time_s.start, time_s.end);
             events.payloads.push(payload);

@@ -8,12 +8,13 @@ use super::{Failure, bail, bank, duration, not_over, unsupported, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
+use foretorque::limits::Flags;
 use foretorque_link::bank::{ParameterBank, Parameters};
 use foretorque_link::bus::BusConfig;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{BusChoice, BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::{TickRecord, motion_f32};
-use foretorque_workbench::dynamics::Joints;
+use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::files::{remove_stale, write_whole};
 use foretorque_workbench::plant::{Measurement, Plant};
 use foretorque_workbench::report::page::or_dash;
@@ -138,11 +139,32 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     arm: std::marker::PhantomData<A>,
 }
 
+/// Speed at the begin of a path that a drive from rest takes, rad/s.
+const MOVES_RAD_S: f64 = 0.02;
+/// Shortest stop behind a path that does not end at rest, s.
+const STOP_S: f64 = 0.3;
+/// Share of the ticks with a cut torque that is no trouble.
+const TOLERATED: f64 = 0.05;
+
+/// Motion `share` of the way through a stop from `end` in `stop_s`, s.
+///
+/// `qd = qd0 (1 − 3 s² + 2 s³)`, without a jump of the acceleration at its end.
+fn stopping<const N: usize>(end: &State<N>, stop_s: f64, share: f64) -> State<N> {
+    let s = share;
+    State {
+        q: end.q + end.qd * (stop_s * (s - s.powi(3) + 0.5 * s.powi(4))),
+        qd: end.qd * (1.0 - s * s * (3.0 - 2.0 * s)),
+        qdd: end.qd * (6.0 * s * (s - 1.0) / stop_s),
+    }
+}
+
 struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
     player: BusPlayer<A, Attended, N, P>,
     ticks: usize,
     squares: f64,
     counted: usize,
+    /// Ticks in which a torque was cut to its limit, and in which what was learnt was.
+    cut: [usize; 2],
     ended: Option<String>,
 }
 
@@ -169,6 +191,11 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let (name, length_s) = (&arguments.trajectory, arguments.duration_s);
         let path = Trajectory::load(name, robot, arguments.seed, length_s, period_s)?;
         path.check(robot, period_s)?;
+        let begin: State<N> = path.at(0.0);
+        let begin = begin.qd.amax();
+        if begin > MOVES_RAD_S {
+            bail!("--trajectory {name}: it begins at {begin:.3} rad/s, and an arm that stands");
+        }
         let duration_s = arguments.duration_s.unwrap_or(f64::INFINITY);
         let duration_s = duration_s.min(path.duration_s());
         Ok(Self {
@@ -224,6 +251,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             ticks: 0,
             squares: 0.0,
             counted: 0,
+            cut: [0; 2],
             ended: None,
         };
         let followed = self.follow(&mut played, alone, log);
@@ -249,12 +277,18 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let age_s = 1.5 * period_s - lead_s;
         let bar = Bar::new();
         let mut feed_forward = JointVector::zeros();
+        let left_out_s = player.left_out_s();
         for tick in 0..self.ticks {
             let t_s = tick as f64 * period_s;
             let motion = motion_f32(&self.path.at(t_s + lead_s));
             let result = player.tick(Some(&motion))?;
             player.check()?;
             played.ticks += 1;
+            for (count, flag) in
+                (played.cut.iter_mut()).zip([Flags::SATURATED, Flags::LEARNED_CLIPPED])
+            {
+                *count += usize::from(result.torque.flags.contains(flag));
+            }
             let desired = self.path.at((t_s - age_s).max(0.0));
             if let Some(measured) = result.measured {
                 let measured = Measurement {
@@ -266,7 +300,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
                     played.counted += 1;
                 }
                 log(&TickRecord {
-                    t_s,
+                    t_s: t_s + player.left_out_s() - left_out_s,
                     desired,
                     q: measured.q,
                     measured,
@@ -283,6 +317,27 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             if tick % 256 == 0 {
                 bar.show("drive", tick, self.ticks);
             }
+        }
+        self.halt(player)
+    }
+
+    /// Brings an arm to rest where its path was cut.
+    fn halt(&self, player: &mut BusPlayer<A, Attended, N, P>) -> Result<(), Failure> {
+        let period_s = 1.0 / self.profile.rate_hz;
+        let end = self
+            .path
+            .at(self.ticks as f64 * period_s + self.profile.lead_s());
+        if end.qd.amax() < MOVES_RAD_S {
+            return Ok(());
+        }
+        let slowest = (end.qd.iter().zip(&self.robot.joints))
+            .map(|(qd, joint)| 1.5 * qd.abs() / joint.limits.acceleration);
+        let stop_s = slowest.fold(STOP_S, f64::max);
+        let ticks = (stop_s / period_s).ceil() as usize;
+        for tick in 1..=ticks {
+            let motion = stopping(&end, stop_s, tick as f64 / ticks as f64);
+            player.tick(Some(&motion_f32(&motion)))?;
+            player.check()?;
         }
         Ok(())
     }
@@ -326,6 +381,16 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         if let Some(reason) = played.ended {
             bail!("{reason}");
         }
+        let kinds = ["a torque was at its limit", "learnt torque was clipped"];
+        for (kind, count) in kinds.into_iter().zip(played.cut) {
+            let share = count as f64 / played.ticks.max(1) as f64;
+            if share > TOLERATED {
+                bail!(
+                    "{kind} for {:.0} % of the path: a slower path, or limits of the profile",
+                    100.0 * share
+                );
+            }
+        }
         let (ticks, rate_hz) = (summary.ticks, summary.rate_hz);
         show!(
             "{ticks} ticks at {rate_hz} Hz, tracking error {} mrad RMS in the second half",
@@ -339,5 +404,26 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             "begin of the ticks: median {median:.0} µs late, 99.9 % {high:.0} µs, largest {largest:.0} µs; \
              {lost} replies lost"
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_goes_on_from_the_end_of_the_path_and_ends_at_rest() {
+        let mut end = State::<1>::rest(Joints::zeros());
+        (end.q[0], end.qd[0]) = (0.5, 2.0);
+        let at = |share: f64| stopping(&end, 0.4, share);
+        assert_eq!((at(0.0).q[0], at(0.0).qd[0]), (0.5, 2.0));
+        assert_eq!((at(1.0).qd[0], at(1.0).qdd[0]), (0.0, 0.0));
+        for k in 1..100 {
+            let (s, h) = (f64::from(k) / 100.0, 1e-5);
+            let change =
+                |of: fn(&State<1>) -> f64| (of(&at(s + h)) - of(&at(s - h))) / (0.4 * 2.0 * h);
+            assert!((change(|state| state.q[0]) - at(s).qd[0]).abs() < 1e-6);
+            assert!((change(|state| state.qd[0]) - at(s).qdd[0]).abs() < 1e-4);
+        }
     }
 }

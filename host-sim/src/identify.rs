@@ -154,7 +154,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failure> {
     let mut truth = None;
     if let Some(name) = &arguments.truth {
-        let described = Robot::load(name)?;
+        // As `simulate` has it, options of the arm and assumed rotors included.
+        let described = arguments.robot.arm.load_coupled(name)?;
+        let (described, _) = described.with_assumed_rotors();
         let names = |robot: &Robot| {
             let layout = Layout::new(robot, &arguments.columns);
             let names = layout.parameters.into_iter().map(|own| own.name);

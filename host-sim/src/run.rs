@@ -15,7 +15,7 @@ use foretorque_workbench::board::{BoardError, Client};
 use foretorque_workbench::closed_loop::{ClosedLoop, TickRecord, motion_f32};
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::excitation::Excitation;
-use foretorque_workbench::files::{WholeFile, write_whole};
+use foretorque_workbench::files::{WholeFile, remove_stale, write_whole};
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::closed_loop::{
     self, ClosedLoopLog, ClosedLoopReport, RunDescription,
@@ -221,6 +221,8 @@ fn close_loop<const N: usize>(
     if let Some(chosen) = arguments.telemetry {
         let path = arguments.out.join("telemetry.csv");
         log.telemetry = Some(Recorder::create(&path, chosen, N, PERIOD_S)?);
+    } else {
+        remove_stale(&arguments.out, &["telemetry.csv", "telemetry.mcap"])?;
     }
     if arguments.excite_on_board {
         board.excitation(ExcitationCommand::Start)?;

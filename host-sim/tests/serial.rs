@@ -245,6 +245,48 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
     assert!(tags.contains(&ARM) && tags.contains(&DISARM));
 }
 
+/// Real drives keep the last command: it must have no torque and no velocity, whatever has ended the loop.
+const RECORDED: &str = "
+import sys
+sys.path.insert(0, sys.argv.pop(1))
+import foretorque
+sent = []
+class Drives(foretorque.SimulatedDrives):
+    def command(self, q, qd, torque):
+        sent.append((qd, torque))
+        super().command(q, qd, torque)
+foretorque.SimulatedDrives = Drives
+try:
+    foretorque.main()
+except OSError:
+    pass
+ramp = [max(map(abs, torque)) for _, torque in sent]
+assert max(ramp) > 10, ramp
+assert all(later >= 0 and later <= before for before, later in zip(ramp[-4:], ramp[-3:])), ramp[-4:]
+assert not any(sent[-1][0]) and not any(sent[-1][1]), sent[-1]
+";
+
+#[test]
+fn the_last_command_of_a_client_has_no_torque() {
+    let Some(python) = python::with("termios") else {
+        return;
+    };
+    let here = Directory::new("client-end");
+    let clients = client("foretorque.py");
+    for log in ["log.csv", "/dev/full"] {
+        let (code, stderr, _) = ended(|port| {
+            let mut command = Command::new(&python);
+            command
+                .args(["-B", "-c", RECORDED])
+                .arg(clients.parent().expect("has one"));
+            command.args([port, "--seconds", "0.3", "--log", log]);
+            command.current_dir(&*here);
+            command
+        });
+        assert_eq!(code, Some(0), "{log}: {stderr}");
+    }
+}
+
 /// Rows of the log that a client writes while it drives a board of the UR5 for a second.
 ///
 /// * `command` the client, given the port of the board

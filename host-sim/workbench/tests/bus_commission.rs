@@ -109,6 +109,31 @@ fn an_arm_as_described_passes_below_a_tenth_of_its_torque() {
     assert!(arm.player.network.all_off());
 }
 
+/// Drives that fall silent before and in the push of joint 3, the pushed one among them, while two others hold their pose.
+#[test]
+fn no_joint_is_pushed_or_held_without_replies() {
+    for (fault, joint) in [
+        (LineFault::Dead(5), 6),
+        (LineFault::LostReplies(2, 1.0), 3),
+        (LineFault::LostReplies(0, 1.0), 1),
+    ] {
+        let mut arm = arm(|_| ());
+        arm.step(Step::Find).expect("sound drives");
+        // Joints 1 and 2 take about two seconds.
+        let now_s = arm.player.network.t_s();
+        arm.player.network.fault = TimedFault::new(fault, now_s + 1.7..1e9);
+        let failed = arm.step(Step::Torque).err().map(|error| error.to_string());
+        let wanted = format!("torque off: joint {joint}: the drive does not answer");
+        let dead = matches!(fault, LineFault::Dead(_));
+        assert!(dead || failed.as_deref() == Some(&wanted), "{failed:?}");
+        let limits = Ur5::LIMITS.map(|limits| 0.1 * f64::from(limits.torque));
+        for (peak, limit) in arm.player.network.peak_nm.iter().zip(limits) {
+            assert!(*peak <= limit, "{peak} of {limit}");
+        }
+        assert!(arm.step(Step::Zero).is_err(), "{fault:?}");
+    }
+}
+
 /// 2 kg, 5 cm aside of the flange.
 fn weight() -> Link {
     Payload::cube(2.0, [0.05, 0.0, 0.05], 0.0, 0.0).body

@@ -128,6 +128,15 @@ impl<const N: usize> BusDrives<N> {
         Some(positions)
     }
 
+    /// The first joint, from 0, whose drive still reports that it is on.
+    pub fn still_on(&self) -> Option<u8> {
+        let on = |link: &Option<JointLink>| {
+            let state = link.as_ref().and_then(|link| link.reply.state);
+            state == Some(DriveState::Enabled)
+        };
+        self.links.iter().position(on).map(|joint| joint as u8)
+    }
+
     /// Temperatures that the drives have reported since the last call, up to 125: joint, °C.
     pub fn temperatures(&mut self) -> impl Iterator<Item = (usize, i8)> {
         let links = self.links.iter_mut().enumerate();
@@ -250,8 +259,8 @@ impl<const N: usize> BusDrives<N> {
                 self.losses = 0;
                 // A drive that was away may have come back with another scale.
                 let links = self.links.iter_mut().flatten();
-                let away = links.filter(|link| (silence..u16::MAX).contains(&link.age));
-                away.for_each(JointLink::restart);
+                let away = links.filter(|link| link.age >= silence);
+                away.for_each(JointLink::forget_scales);
                 return self.fault.is_some();
             }
             BusPhase::Damping(_) => {

@@ -246,6 +246,15 @@ impl JointLink {
     }
 
     /// Drops the scales, so that they are read again.
+    pub(super) fn forget_scales(&mut self) {
+        for check in &mut self.scales {
+            if *check != ScaleCheck::Unreadable {
+                *check = ScaleCheck::Unknown;
+            }
+        }
+    }
+
+    /// Drops all but the counters after a fault; scales are read again.
     pub(super) fn restart(&mut self) {
         let counters = self.counters;
         let clears = matches!(self.reply.state, Some(DriveState::Fault(_)));

@@ -53,6 +53,7 @@ errors! {
         /// (Without an order: it has reset, or its watchdog has ended.)
         Disabled = "the drive has switched itself off";
         NotEnabled = "the drive does not switch on";
+        StillOn = "the drive does not switch off";
         Scale(scale: Scale, profile: f32, drive: f32) = "{scale} is {profile} in the profile, {drive} in the drive";
         /// (Its protocol can.)
         ScaleUnknown(scale: Scale) = "the drive does not report {scale}";

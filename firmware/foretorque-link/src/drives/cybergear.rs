@@ -11,6 +11,8 @@ use super::{
 };
 
 const STEPS: u16 = 0xffff;
+/// Register of the mode; 0 is that of motion commands.
+const RUN_MODE: u16 = 0x7005;
 /// Register of the largest torque, N·m.
 const TORQUE_LIMIT: u16 = 0x700b;
 
@@ -21,6 +23,7 @@ mod kind {
     pub(super) const STOP: u32 = 4;
     pub(super) const ZERO: u32 = 6;
     pub(super) const READ: u32 = 17;
+    pub(super) const WRITE: u32 = 18;
     pub(super) const FAULT: u32 = 21;
     pub(super) const ACTIVE: u32 = 24;
 }
@@ -52,6 +55,13 @@ impl Codec<'_> {
     }
 
     pub(super) fn order(&self, order: Order, frames: &mut Frames) -> bool {
+        let (host, id) = (self.drive.host_id, self.drive.id);
+        if order == Order::Enable {
+            // A tool may have left another mode, with a set-point of its own.
+            let [low, high] = RUN_MODE.to_le_bytes();
+            let mode = [low, high, 0, 0, 0, 0, 0, 0];
+            send(kind::WRITE, host, id, mode, frames);
+        }
         let (kind, bytes) = match order {
             Order::Enable => (kind::ENABLE, [0; 8]),
             Order::Disable => (kind::STOP, [0; 8]),
@@ -63,7 +73,7 @@ impl Codec<'_> {
             }
             Order::ReadScale(_) | Order::Report => return false,
         };
-        send(kind, self.drive.host_id, self.drive.id, bytes, frames);
+        send(kind, host, id, bytes, frames);
         true
     }
 

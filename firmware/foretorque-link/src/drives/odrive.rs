@@ -93,7 +93,9 @@ impl Codec<'_> {
             Order::Disable => self.send(command::STATE, &state(IDLE), frames),
             Order::ClearFault => self.send(command::CLEAR, &[0], frames),
             Order::SetZero => self.send(command::ZERO, &[0; 8], frames),
-            Order::Report => self.poll(frames),
+            Order::Report if self.scales.polled => self.poll(frames),
+            // It reports by itself.
+            Order::Report => return false,
             Order::ReadScale(Scale::Torque) if self.scales.torque_scale_endpoint != 0 => {
                 let [low, high] = self.scales.torque_scale_endpoint.to_le_bytes();
                 self.send(command::READ, &[0, low, high, 0, 0, 0, 0, 0], frames);
@@ -130,11 +132,12 @@ impl Codec<'_> {
                 });
             }
             command::VALUE => {
-                let [_, low, high, ..] = data;
-                let own = u16::from_le_bytes([low, high]) == self.scales.torque_scale_endpoint;
-                let value =
-                    finite(second).filter(|_| own && self.scales.torque_scale_endpoint != 0)?;
-                return Some(Event::Scale(Scale::Torque, value));
+                // A property of 32 bits without a sign.
+                let [_, low, high, _, value @ ..] = data;
+                let endpoint = u16::from_le_bytes([low, high]);
+                let own = endpoint != 0 && endpoint == self.scales.torque_scale_endpoint;
+                let value = u32::from_le_bytes(value) as f32;
+                return own.then_some(Event::Scale(Scale::Torque, value));
             }
             _ => return None,
         }
@@ -201,7 +204,7 @@ impl Codec<'_> {
 
     pub(super) fn reply_scale(&self, _: Scale, value: f32, frames: &mut Frames) {
         let [low, high] = self.scales.torque_scale_endpoint.to_le_bytes();
-        let bytes = join([0, low, high, 0], value.to_le_bytes());
+        let bytes = join([0, low, high, 0], (value as u32).to_le_bytes());
         self.send(command::VALUE, &bytes, frames);
     }
 }

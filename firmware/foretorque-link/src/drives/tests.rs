@@ -244,9 +244,9 @@ fn orders_and_scales_come_back() {
             assert_eq!(read, Some(wanted), "{protocol:?}");
             if let ReadScale(scale) = order {
                 let mut frames = Frames::new();
-                profile.reply_scale(scale, 12.5, &mut frames);
+                profile.reply_scale(scale, 12.0, &mut frames);
                 let read = profile.decode(&frames[0]);
-                assert_eq!(read, Some(Event::Scale(scale, 12.5)), "{protocol:?}");
+                assert_eq!(read, Some(Event::Scale(scale, 12.0)), "{protocol:?}");
             }
         }
     }

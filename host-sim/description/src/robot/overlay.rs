@@ -97,7 +97,8 @@ impl Robot {
             return Ok(import);
         }
         if *selection != Selection::default() {
-            let problem = "--base, --tip, --weld, --repair and --link-mass are for a URDF";
+            let problem =
+                "--base, --tip, --weld, --repair and --link-mass are for URDF and MJCF files";
             return Err(Refusal::of(file, problem));
         }
         Ok(Import {

@@ -188,7 +188,7 @@ fn comparisons(reports: &[ScenarioReport]) -> Vec<Comparison> {
     let mut out = Vec::new();
     for (arm, scenario, figure, side, bar) in BARS {
         let of_bar = |report: &&ScenarioReport| {
-            report.arm.starts_with(arm) && report.scenario.starts_with(scenario)
+            (arm.is_empty() || report.arm == arm) && report.scenario.starts_with(scenario)
         };
         for report in reports.iter().filter(of_bar) {
             let Some(&measured) = report.figures.get(figure) else {

@@ -51,13 +51,16 @@ pub(super) struct Trace<const N: usize> {
 }
 
 impl<const N: usize> Trace<N> {
-    /// Learnt error over that of the start on every window with motion.
+    /// Learnt error over that of the start on every window with motion; infinite where a torque was no number.
     pub(super) fn windows(&self) -> Vec<f64> {
-        let windows = self.seconds.windows(WINDOW_S).map(|window| {
+        let windows = self.seconds.windows(WINDOW_S).filter_map(|window| {
             let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
-            (sum(0) / sum(1)).sqrt()
+            let (learnt, start) = (sum(0), sum(1));
+            let ratio = (learnt / start).sqrt();
+            let moved = (learnt, start) != (0.0, 0.0);
+            moved.then_some(if ratio.is_nan() { f64::INFINITY } else { ratio })
         });
-        windows.filter(|ratio| ratio.is_finite()).collect()
+        windows.collect()
     }
 }
 

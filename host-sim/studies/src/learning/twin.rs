@@ -216,5 +216,5 @@ pub(super) fn twin(
             advance();
         }
     }
-    (worst, rows)
+    (worst.max(twin.distance(estimator.parameters())), rows)
 }

@@ -10,6 +10,7 @@ use super::{BusError, BusPlayer, Network};
 use crate::dynamics::{Joints, ReferenceModel};
 use crate::robot::Link;
 use foretorque::arm::Arm;
+use foretorque_link::bus::{BusFault, FaultCause};
 use foretorque_link::drives::{Frames, Order};
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +28,8 @@ const IDS: std::ops::RangeInclusive<u16> = 1..=32;
 /// Request to whoever stands beside the arm. The drives are off meanwhile.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ask {
+    /// Keep clear: the loop moves every joint next.
+    Clear,
     /// Put the arm into this pose, rad.
     Pose(Vec<f64>),
     /// Turn a joint, from 0, in its positive direction by this angle, rad.
@@ -110,6 +113,11 @@ pub struct Commissioning<A: Arm<N, P>, W: Network, const N: usize, const P: usiz
     rest: Joints<N>,
 }
 
+fn silent(joint: usize) -> BusError {
+    let (joint, cause) = (Some(joint as u8), FaultCause::Silent);
+    BusError::Fault(BusFault { joint, cause })
+}
+
 /// Errors: the mistake of a joint that is not as it should be.
 fn check(joint: usize, sound: bool, wrong: impl FnOnce() -> String) -> Result<(), BusError> {
     let sound = sound.then_some(());
@@ -143,14 +151,17 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             Step::Torque => {
                 self.zero()?;
                 let outcome = (0..N).try_for_each(|joint| self.torque(joint));
-                self.switch_off()?;
+                outcome.and(self.player.switch_off())?;
                 for (joint, reason) in std::mem::take(&mut self.undetermined) {
                     let ask = Ask::Undetermined { joint, reason };
                     self.player.network.ask(&ask)?;
                 }
-                outcome
+                Ok(())
             }
-            Step::Friction => self.friction(),
+            Step::Friction => {
+                self.player.network.ask(&Ask::Clear)?;
+                self.friction()
+            }
             Step::Weight => match self.weight {
                 Some(body) => self.weigh(&body),
                 None => Ok(()),
@@ -158,19 +169,42 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         }
     }
 
-    /// Lets the drives answer for a while; positions, rad.
-    fn listen(&mut self) -> Result<Joints<N>, BusError> {
+    /// Lets the drives answer for a while.
+    fn listen(&mut self) -> Result<(), BusError> {
         let ticks = (0.1 / self.player.period_s()) as usize;
         for _ in 0..ticks {
             self.player.tick(None)?;
         }
-        Ok(self.player.positions().cast())
+        Ok(())
+    }
+
+    /// Positions that the drives report now, rad.
+    ///
+    /// Errors: the first drive that does not.
+    fn heard(&mut self) -> Result<Joints<N>, BusError> {
+        let replies = |own: &Self| -> [u32; N] {
+            let drives = own.player.controller.drives();
+            std::array::from_fn(|joint| drives.counters(joint).replies)
+        };
+        let before = replies(self);
+        self.listen()?;
+        let after = replies(self);
+        match (0..N).find(|&joint| after[joint] == before[joint]) {
+            Some(joint) => Err(silent(joint)),
+            None => Ok(self.player.positions().cast()),
+        }
+    }
+
+    /// Largest torque of a joint, N·m: that of the arm or of its drive.
+    fn limit(&self, joint: usize) -> f64 {
+        let drive = self.player.controller.config().joints[joint].drive;
+        f64::from(drive.torque_limit.min(A::limits()[joint].torque))
     }
 
     fn find(&mut self) -> Result<(), BusError> {
         let gravity = self.model.gravity_torques(&self.rest);
         for joint in 0..N {
-            let most = RESTING * f64::from(A::limits()[joint].torque);
+            let most = RESTING * self.limit(joint);
             let (rest, gravity) = (self.rest[joint], gravity[joint]);
             check(joint, gravity.abs() <= most, || {
                 format!(
@@ -236,10 +270,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     }
 
     fn turn(&mut self, joint: usize) -> Result<(), BusError> {
-        let before = self.listen()?;
+        let before = self.heard()?;
         let turn = |by_rad| Ask::Turn { joint, by_rad };
         self.player.network.ask(&turn(TURN_RAD))?;
-        let change = self.listen()? - before;
+        let change = self.heard()? - before;
         self.player.network.ask(&turn(-TURN_RAD))?;
         let ratio = change[joint] / TURN_RAD;
         let moved = (0..N).max_by(|a, b| change[*a].abs().total_cmp(&change[*b].abs()));
@@ -273,7 +307,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     fn zero(&mut self) -> Result<(), BusError> {
         let pose = self.rest.iter().copied().collect();
         self.player.network.ask(&Ask::Pose(pose))?;
-        let here = self.listen()?;
+        let here = self.heard()?;
         for joint in 0..N {
             let (here, rest) = (here[joint], self.rest[joint]);
             let error = here - rest;

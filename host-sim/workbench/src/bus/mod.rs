@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
 use std::{fmt, io};
 use text::{TextForm, TextLine};
 use thread_priority::unix::{
-    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy,
-    thread_native_id,
+    NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
@@ -118,9 +118,10 @@ pub trait Line: Send {
     }
 }
 
-/// Adapters of one arm with the system's clock.
+/// Adapters of one arm with the system's clock. One that has failed is reported once, and the others go on.
 pub struct WiredNetwork {
-    lines: Vec<Box<dyn Line>>,
+    names: Vec<String>,
+    lines: Vec<Option<Box<dyn Line>>>,
     period: Duration,
     next: Option<Instant>,
 }
@@ -129,33 +130,44 @@ impl WiredNetwork {
     /// A network that ticks every `period_s`, s.
     pub fn new(lines: Vec<Box<dyn Line>>, period_s: f64) -> Self {
         Self {
-            lines,
+            names: lines.iter().map(|line| line.name()).collect(),
+            lines: lines.into_iter().map(Some).collect(),
             period: Duration::from_secs_f64(period_s),
             next: None,
         }
+    }
+
+    fn lost(&mut self, bus: usize, error: io::Error) -> BusError {
+        self.lines[bus] = None;
+        BusError::Failed(self.names[bus].clone(), error)
     }
 }
 
 impl Network for WiredNetwork {
     fn name(&self) -> String {
-        let names: Vec<String> = self.lines.iter().map(|line| line.name()).collect();
-        names.join(",")
+        self.names.join(",")
     }
 
     fn send(&mut self, bus: u8, frame: &Frame) -> Result<(), BusError> {
-        let Some(line) = self.lines.get_mut(usize::from(bus)) else {
-            return Ok(());
-        };
-        let sent = line.send(frame);
-        sent.map_err(|error| BusError::Failed(line.name(), error))
+        let bus = usize::from(bus);
+        match self.lines.get_mut(bus) {
+            Some(Some(line)) => {
+                let sent = line.send(frame);
+                sent.map_err(|error| self.lost(bus, error))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn receive(&mut self) -> Result<Option<(u8, Frame)>, BusError> {
-        for (bus, line) in self.lines.iter_mut().enumerate() {
-            let frame = line.receive();
-            let frame = frame.map_err(|error| BusError::Failed(line.name(), error))?;
-            if let Some(frame) = frame {
-                return Ok(Some((bus as u8, frame)));
+        for bus in 0..self.lines.len() {
+            let Some(line) = &mut self.lines[bus] else {
+                continue;
+            };
+            match line.receive() {
+                Ok(Some(frame)) => return Ok(Some((bus as u8, frame))),
+                Ok(None) => {}
+                Err(error) => return Err(self.lost(bus, error)),
             }
         }
         Ok(None)
@@ -177,7 +189,7 @@ impl Network for WiredNetwork {
     }
 
     fn is_off(&self) -> bool {
-        self.lines.iter().any(|line| line.is_off())
+        self.lines.iter().flatten().any(|line| line.is_off())
     }
 }
 
@@ -193,6 +205,21 @@ pub fn real_time() -> Result<(), String> {
     let all =
         nix::sys::mman::MlockAllFlags::MCL_CURRENT | nix::sys::mman::MlockAllFlags::MCL_FUTURE;
     nix::sys::mman::mlockall(all).map_err(|error| error.to_string())
+}
+
+/// Gives this thread its usual priority back, and memory the system's care.
+pub fn usual_time() {
+    let usual = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
+    let none = ThreadPriority::Crossplatform(ThreadPriorityValue::MIN);
+    // Where there was no other one, nothing changes.
+    let _ = set_thread_priority_and_policy(thread_native_id(), none, usual);
+    let _ = nix::sys::mman::munlockall();
+}
+
+/// Drops what was typed at the terminal so far: it does not answer a request that comes later.
+pub fn forget_typed() {
+    // Fails where the input is no terminal: then nothing is dropped.
+    let _ = nix::sys::termios::tcflush(io::stdin(), nix::sys::termios::FlushArg::TCIFLUSH);
 }
 
 /// A bus that a command may name; two names, separated by a comma, are two buses of one arm.
@@ -283,6 +310,50 @@ mod tests {
         ] {
             assert!(name.parse::<BusChoice>().is_err(), "{name}");
         }
+    }
+
+    /// Adapter that fails after so many calls, and counts the frames that it has sent.
+    struct Fake(
+        &'static str,
+        u32,
+        std::sync::Arc<std::sync::atomic::AtomicU32>,
+    );
+
+    impl Line for Fake {
+        fn name(&self) -> String {
+            self.0.to_owned()
+        }
+        fn send(&mut self, _: &Frame) -> io::Result<()> {
+            self.2.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            Ok(())
+        }
+        fn receive(&mut self) -> io::Result<Option<Frame>> {
+            self.1 = self.1.checked_sub(1).ok_or(io::ErrorKind::BrokenPipe)?;
+            Ok(None)
+        }
+    }
+
+    #[test]
+    fn an_adapter_that_has_failed_is_reported_once_and_the_other_goes_on() {
+        let sent = [(); 2].map(|()| std::sync::Arc::default());
+        let [first, second] = sent.clone();
+        let lines: [Box<dyn Line>; 2] = [
+            Box::new(Fake("a", 2, first)),
+            Box::new(Fake("b", 1000, second)),
+        ];
+        let mut network = WiredNetwork::new(lines.into(), 1e-3);
+        let mut failed = 0;
+        for _ in 0..10 {
+            failed += u32::from(network.receive().is_err());
+            for bus in 0..2 {
+                network
+                    .send(bus, &Frame::standard(1, &[]))
+                    .expect("sent or lost");
+            }
+        }
+        assert_eq!((failed, network.name().as_str()), (1, "a,b"));
+        let sent = sent.map(|count| count.load(std::sync::atomic::Ordering::Relaxed));
+        assert_eq!(sent, [2, 10]);
     }
 
     #[test]

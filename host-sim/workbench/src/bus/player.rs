@@ -7,7 +7,7 @@ use foretorque::arm::Arm;
 use foretorque::joint::{JointMotion, JointVector};
 use foretorque::learning::Learner;
 use foretorque_link::bank::Parameters;
-use foretorque_link::bus::{BusConfig, BusController, BusPhase, BusTick};
+use foretorque_link::bus::{BusConfig, BusController, BusFault, BusPhase, BusTick, FaultCause};
 use foretorque_link::drives::Contradiction;
 use foretorque_link::safety::{SafetyReason, SafetyState};
 use foretorque_link::session::{LearnerMailbox, NoClock};
@@ -16,6 +16,8 @@ use foretorque_link::session::{LearnerMailbox, NoClock};
 const LISTENING_S: f64 = 0.5;
 /// Longest time for drives to switch on, s.
 const ARMING_S: f64 = 1.0;
+/// Longest time for drives to switch off, s.
+const SWITCH_OFF_S: f64 = 0.5;
 /// Fastest joint of the approach, rad/s.
 const APPROACH_RAD_S: f64 = 0.4;
 
@@ -30,6 +32,10 @@ pub struct BusPlayer<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
     mailbox: LearnerMailbox<N, P>,
     /// Delays of the ticks so far behind their time, µs.
     delays_us: Vec<f32>,
+    /// Time of the periods that were left out, s.
+    left_out_s: f64,
+    /// Desired position of the last tick, rad.
+    desired: Option<JointVector<N>>,
 }
 
 impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N, P> {
@@ -54,6 +60,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             learner,
             mailbox: LearnerMailbox::default(),
             delays_us: Vec::new(),
+            left_out_s: 0.0,
+            desired: None,
         })
     }
 
@@ -62,12 +70,26 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         f64::from(self.controller.config().period_s)
     }
 
+    /// Waits for the next period. One that comes later than its end shifts those after it.
+    pub(super) fn wait(&mut self) {
+        let delay = self.network.wait();
+        self.delays_us.push(delay.as_secs_f32() * 1e6);
+        if delay.as_secs_f64() >= self.period_s() {
+            self.left_out_s += delay.as_secs_f64();
+        }
+    }
+
+    /// Time of the periods that were left out so far, because a tick came too late, s.
+    pub fn left_out_s(&self) -> f64 {
+        self.left_out_s
+    }
+
     /// One period: waits for its begin, takes the replies, sends the commands, learns.
     ///
     /// Errors: a bus that has gone; the drives are then out of reach, and their watchdogs end the torque.
     pub fn tick(&mut self, desired: Option<&JointMotion<N>>) -> Result<BusTick<N>, BusError> {
-        let delay = self.network.wait();
-        self.delays_us.push(delay.as_secs_f32() * 1e6);
+        self.wait();
+        self.desired = desired.map(|desired| desired.q);
         while let Some((bus, frame)) = self.network.receive()? {
             self.controller.receive(bus, &frame);
         }
@@ -134,7 +156,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
     ///
     /// Errors: as [`check`](Self::check).
     pub fn approach(&mut self, target: &Joints<N>) -> Result<(), BusError> {
-        let start: Joints<N> = self.positions().cast();
+        let start = self.desired.unwrap_or_else(|| self.positions());
+        let start: Joints<N> = start.cast();
         let duration_s = (1.875 * (target - start).amax() / APPROACH_RAD_S).max(0.5);
         let path = ViaPath::through(&[start, *target], duration_s);
         let ticks = ((duration_s + 0.5) / self.period_s()) as usize;
@@ -156,23 +179,44 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         armed.ok_or(BusError::Stopped(status.reason))
     }
 
-    /// Ramps the torque to zero, lets the drives damp, and switches them off.
+    /// Ramps the torque to zero, lets the drives damp, and switches them off, whatever happens meanwhile.
     ///
-    /// Errors: a bus that has gone.
+    /// Errors: the first of a bus that has gone and an interrupt; a drive that stays on.
     pub fn park(&mut self) -> Result<SafetyReason, BusError> {
         self.controller.disarm();
-        let ticks = (2.0 / self.period_s()) as usize;
-        for _ in 0..ticks {
-            self.tick(None)?;
+        let mut outcome = Ok(());
+        let most = (2.0 / self.period_s()) as usize;
+        for _ in 0..most {
+            outcome = outcome.and(self.tick(None).map(drop));
             if self.controller.drives().phase() == BusPhase::Off {
                 break;
             }
         }
-        // The order to switch off may be lost once.
-        for _ in 0..8 {
-            self.tick(None)?;
-        }
+        outcome.and(self.switch_off())?;
         Ok(self.controller.status().reason)
+    }
+
+    /// Sends the drives of a loop that is off the order to switch off, until all report so.
+    ///
+    /// Errors: as [`park`](Self::park).
+    pub(super) fn switch_off(&mut self) -> Result<(), BusError> {
+        let most = (SWITCH_OFF_S / self.period_s()) as usize;
+        let mut outcome = Ok(());
+        // The order may be lost once.
+        for tick in 0..most.max(16) {
+            if tick >= 16 && self.controller.drives().still_on().is_none() {
+                break;
+            }
+            outcome = outcome.and(self.tick(None).map(drop));
+        }
+        outcome?;
+        match self.controller.drives().still_on() {
+            None => Ok(()),
+            joint => {
+                let cause = FaultCause::StillOn;
+                Err(BusError::Fault(BusFault { joint, cause }))
+            }
+        }
     }
 
     /// Median, 99.9th percentile and largest delay of the ticks behind their time, µs.

@@ -105,6 +105,14 @@ impl Profile {
         };
         let checked = config.check::<A, P>();
         checked.map_err(|error| refused(error.to_string()))?;
+        let alone = |joint: &BusJoint| joint.drive.protocol.is_without_position();
+        if let Some(joint) = joints.iter().position(alone) {
+            let joint = joint + 1;
+            let problem = format!(
+                "joint {joint}: without a position loop the arm drifts: mode = \"position\""
+            );
+            return Err(refused(problem));
+        }
         for bus in 0..self.bus.len() {
             let (rate, busy_s) = (self.rate_hz, self.busy_s(bus));
             if busy_s * rate > 1.0 {

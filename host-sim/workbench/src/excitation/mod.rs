@@ -40,6 +40,8 @@ use std::f64::consts::{PI, TAU};
 
 const _: () = assert!(ORDER == HARMONICS);
 
+/// Largest speed, rad/s, and acceleration, rad/s², at the begin of an excitation: those of rounded coefficients.
+const REST: (f64, f64) = (1e-3, 1e-2);
 /// Longest period, s: every millisecond of it is a row.
 pub const MOST_PERIOD_S: f64 = 1000.0;
 /// Points on which the bounds are taken; what lies between them is bounded.
@@ -120,6 +122,18 @@ impl Excitation {
         if !(period_s > 0.0 && period_s <= MOST_PERIOD_S) {
             let within = format!("not above 0 and at most {MOST_PERIOD_S} s");
             return Err(refused(format!("period of {period_s} s, {within}")));
+        }
+        let (begin, ends) = (self.motion(0.0), REST);
+        let most = |values: &[f64]| {
+            values
+                .iter()
+                .fold(0.0_f64, |most, value| most.max(value.abs()))
+        };
+        let (speed, acceleration) = (most(&begin.qd), most(&begin.qdd));
+        if !(speed <= ends.0 && acceleration <= ends.1) {
+            let problem =
+                format!("it begins at {speed:.4} rad/s and {acceleration:.4} rad/s², not at rest");
+            return Err(refused(problem));
         }
         Ok(())
     }
@@ -269,6 +283,15 @@ mod tests {
                 .max((extremes.q.1 - extremes.q.0) / (2.0 * PI));
             assert!((0.94..=0.9501).contains(&used), "{used}");
         }
+    }
+
+    #[test]
+    fn a_series_that_does_not_begin_at_rest_is_none() {
+        let (robot, mut excitation) = quick(1);
+        assert!(excitation.check(&robot).is_ok());
+        excitation.joints[2].a_rad_s[0] += 0.1;
+        let refused = excitation.check(&robot).expect_err("it moves").to_string();
+        assert!(refused.contains("it begins at 0.1000 rad/s"), "{refused}");
     }
 
     #[test]

@@ -48,7 +48,8 @@ impl<const N: usize> DriveFriction<N> {
         let effects = &config.effects;
         let bristles = robot.each(|joint| {
             let stiffness = joint.friction.coulomb / (1e-3 * effects.presliding_mrad);
-            (effects.presliding_mrad > 0.0)
+            // Without Coulomb friction there are no bristles.
+            (effects.presliding_mrad > 0.0 && joint.friction.coulomb > 0.0)
                 .then_some((stiffness, (stiffness * joint.drive.rotor_inertia).sqrt()))
         })?;
         Some(Self {
@@ -106,8 +107,7 @@ impl<const N: usize> DriveFriction<N> {
                 continue;
             };
             let (viscous, coulomb, cogging) = self.parts(j, q[j], qd[j], load[j], t_s);
-            // A joint without Coulomb friction has no bristles.
-            let divisor = 1.0 + h * stiffness * qd[j].abs() / coulomb.max(1e-9);
+            let divisor = 1.0 + h * stiffness * qd[j].abs() / coulomb;
             let z = self.deflection[j];
             let next = (z + h * qd[j]) / divisor;
             let bristles = stiffness * next + damping * (next - z) / h;

@@ -229,7 +229,10 @@ fn chosen(
         let found = there.iter().map(|(name, kind)| format!("{name} ({kind})"));
         let found = found.collect::<Vec<_>>().join(", ");
         let named = topics.named.unwrap_or("topic");
-        let problem = format!("no {named} of {JOINT_STATE}, only {found}");
+        let problem = match found.is_empty() {
+            true => "it holds no topic: was the recorder ended?".to_owned(),
+            false => format!("no {named} of {JOINT_STATE}, only {found}"),
+        };
         return Err(refused(path, problem));
     }
     let (mut alike, mut joints) = (Vec::new(), Vec::new());

@@ -1,12 +1,12 @@
 //! Steps of commissioning with torque: a push, slow sweeps in the loop, a known weight.
 
-use super::{Ask, BusError, Commissioning, check};
+use super::{Ask, BusError, Commissioning, check, silent};
 use crate::bus::Network;
 use crate::closed_loop::motion_f32;
 use crate::dynamics::{Joints, State};
 use crate::robot::Link;
 use foretorque::arm::Arm;
-use foretorque::joint::JointMotion;
+use foretorque_link::bus::SILENCE_S;
 use foretorque_link::drives::{Carry, DriveState, Event, Frames, JointCommand, Order};
 use nalgebra::{Matrix5, Vector5};
 
@@ -48,9 +48,17 @@ const GAIN_ERROR: f64 = 0.2;
 impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, W, N, P> {
     /// Pushes a joint both ways, with rising torques until both pushes give one ratio of the torque that arrives.
     pub(super) fn torque(&mut self, joint: usize) -> Result<(), BusError> {
-        let limit = f64::from(A::limits()[joint].torque);
+        let limit = self.limit(joint);
+        let holds = !self.player.controller.config().joints[joint]
+            .drive
+            .carries_gains();
         let found = &mut self.found[joint];
         (found.breakaway_nm, found.torque_ratio) = (None, None);
+        if holds {
+            let reason = "its drive holds it by gains of its own against a push; the step weight shows scale and sign";
+            self.undetermined.push((joint, reason.to_owned()));
+            return Ok(());
+        }
         let mut gives_way = None;
         for (place, level) in LEVELS.into_iter().enumerate() {
             let push_nm = level * limit;
@@ -129,7 +137,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         joint: usize,
         push_nm: f64,
     ) -> Result<(Option<Ratio>, Option<usize>), BusError> {
-        self.switch_off()?;
+        self.player.switch_off()?;
         if let (_, Some(other)) = self.run(joint, f64::NAN, REST_S)? {
             return Ok((None, Some(other)));
         }
@@ -322,20 +330,38 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let joints = self.player.controller.config().joints;
         let here = self.player.positions();
         let mut carries = [Carry::default(); N];
+        // Periods since the last reply of each joint.
+        let mut ages = [0.0; N];
+        let left_out_s = self.player.left_out_s();
         let mut path: Vec<Sample<N>> = Vec::new();
         let mut state = None;
         let held: [bool; N] =
             std::array::from_fn(|other| other < joint && self.found[other].torque_ratio.is_some());
         for tick in 0..(longest_s / period_s) as usize {
-            self.player.network.wait();
-            let mut replied = false;
+            self.player.wait();
+            let t_s = tick as f64 * period_s + self.player.left_out_s() - left_out_s;
+            ages.iter_mut().for_each(|age| *age += period_s);
             while let Some((bus, frame)) = self.player.network.receive()? {
-                let event = joints[joint].drive.decode(&frame);
-                if let Some(Event::Reply(reply)) = event.filter(|_| bus == joints[joint].bus) {
-                    state = reply.state.or(state);
-                    replied |= reply.position.is_some();
+                let own = joints.iter().zip(&mut ages).enumerate();
+                for (index, (entry, age)) in own.filter(|(_, (entry, _))| entry.bus == bus) {
+                    let Some(Event::Reply(reply)) = entry.drive.decode(&frame) else {
+                        continue;
+                    };
+                    if index == joint {
+                        state = reply.state.or(state);
+                    }
+                    if reply.position.is_some() {
+                        *age = 0.0;
+                    }
                 }
                 self.player.controller.receive(bus, &frame);
+            }
+            let replied = ages[joint] == 0.0;
+            // Without replies nothing ends a push, or holds a joint where it is.
+            let watched = |other: &usize| *other == joint || held[*other];
+            let mut watched = (0..N).filter(watched);
+            if let Some(lost) = watched.find(|other| ages[*other] > f64::from(SILENCE_S)) {
+                return Err(silent(lost));
             }
             if let Some(DriveState::Fault(code)) = state {
                 let problem = format!("the drive reports fault {code:#x}");
@@ -344,7 +370,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             // The first reply is of the command before.
             if replied && tick > 0 {
                 path.push(Sample {
-                    t_s: tick as f64 * period_s,
+                    t_s,
                     torque_nm,
                     q: self.player.positions().cast(),
                 });
@@ -371,7 +397,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                         ..JointCommand::default()
                     };
                     if held[index] {
-                        let most = MOST * f64::from(A::limits()[index].torque);
+                        let most = MOST * self.limit(index);
                         let (kp, kd) = (f64::from(entry.kp), f64::from(entry.kd));
                         // The position that ends the run is a few periods old.
                         let travel = TRAVEL_RAD + 4.0 * period_s * GIVES_RAD_S;
@@ -389,14 +415,6 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             }
         }
         Ok((path, None))
-    }
-
-    /// Switches every drive off; the loop does so while it is off itself.
-    pub(super) fn switch_off(&mut self) -> Result<(), BusError> {
-        for _ in 0..16 {
-            self.player.tick(None::<&JointMotion<N>>)?;
-        }
-        Ok(())
     }
 }
 

@@ -268,7 +268,7 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
                 };
                 self.plant = self.plant.clone().with_events(events);
             }
-            Ask::Undetermined { .. } => return Ok(()),
+            Ask::Undetermined { .. } | Ask::Clear => return Ok(()),
         }
         self.plant.place(&q);
         self.braked = true;
