@@ -4,7 +4,7 @@ use super::bus::{Attended, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, show};
-use super::{Failure, bail, bank, duration, not_over, unsupported, within};
+use super::{Failure, bail, bank, duration, not_over, unsupported, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -191,6 +191,10 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let (name, length_s) = (&arguments.trajectory, arguments.duration_s);
         let path = Trajectory::load(name, robot, arguments.seed, length_s, period_s)?;
         path.check(robot, period_s)?;
+        if let Trajectory::Excitation { series, .. } = &path {
+            let checked = series.check_torque_and_clearance(robot);
+            checked.map_err(|problem| unusable(format!("{name}: {problem}")))?;
+        }
         let begin: State<N> = path.at(0.0);
         let begin = begin.qd.amax();
         if begin > MOVES_RAD_S {

@@ -338,7 +338,7 @@ fn identify_arm(
     let floors = report.data_check.iter().flat_map(|check| &check.joints);
     let floors: Vec<_> = floors.map(|joint| Some(joint.noise_floor_nm)).collect();
     show!(
-        "torque error joint by joint, {}: {} N·m; description {}; noise alone {}",
+        "torque error joint by joint, {}: {} N·m; description {}; noise alone, of the training logs, {}",
         report.recommended,
         newton_metres(&report.headline_rmse_nm),
         newton_metres(&report.headline_description_rmse_nm),

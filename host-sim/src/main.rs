@@ -75,9 +75,9 @@ fn finite(text: &str) -> Result<f64, String> {
 
 /// A number that fits, as the value of an option.
 fn fitting(text: &str, fits: impl Fn(f64) -> bool, wrong: &str) -> Result<f64, String> {
-    let value = text.trim().parse::<f64>().ok();
-    let value = value.filter(|value| value.is_finite() && fits(*value));
-    value.ok_or_else(|| wrong.to_owned())
+    let value = text.trim().parse::<f64>().map_err(|_| "not a number")?;
+    let sound = (value.is_finite() && fits(value)).then_some(value);
+    sound.ok_or_else(|| wrong.to_owned())
 }
 
 fn positive(text: &str) -> Result<f64, String> {

@@ -320,6 +320,13 @@ fn load_excitation<A: Arm<N, P>, const N: usize, const P: usize>(
     if periods > f64::from(u16::MAX) {
         bail!("--duration-s is {periods} periods");
     }
+    let whole_s = periods * series.period_s;
+    if whole_s > *duration_s {
+        show!(
+            "the board plays {periods} whole periods of {} s",
+            series.period_s
+        )?;
+    }
     let program = series.program::<N>(A::hash(), periods as u16, tracking_rad)?;
     board.load_excitation(&program)?;
     scene.ticks = ((periods * series.period_s + AROUND_S) / PERIOD_S) as usize;

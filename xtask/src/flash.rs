@@ -30,7 +30,7 @@ const HEX_LINE: usize = 16;
 
 /// Names of the boards that have a firmware here, and their binaries: ODrive v3 class; pyboard v1.1, the second one drives its
 /// own joint, the third one is on the bus of CAN drives.
-const BOARDS: [(&str, &str); 4] = [
+pub(crate) const BOARDS: [(&str, &str); 4] = [
     ("odrive", "joint"),
     ("pyboard", "joint-pyboard"),
     ("drive", "joint-drive"),
@@ -55,6 +55,8 @@ pub(crate) fn run(
     let binary = binary.unwrap_or(BOARDS[0].1);
     let board = setup::run(forced)?.board;
     shell::run(&mut board.board_cargo(&format!("build --bin {binary}")))?;
+    // The arm may be another one than that of the gates.
+    foretorque_cost::check_firmware(&shell::elf_dir(), &[binary])?;
     let elf = shell::elf(binary);
     let bytes = shell::read(&elf)?;
     println!("ELF:  {} ({} bytes)", shown(&elf), bytes.len());

@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use foretorque_cost as cost;
 
 use crate::circles;
+use crate::flash;
 use crate::outside;
 use crate::runs;
 use crate::setup::{self, Way};
@@ -135,7 +136,7 @@ fn images(tools: Tools) -> Vec<Gate> {
         // After those of other arms, for the images of the UR5 to be the ones that need no rebuild.
         runs("firmware", tools.board.board_cargo("build --bins")),
         gate("linked firmware", || {
-            cost::check_firmware(&shell::elf_dir(), &[cost::JOINT, cost::DRIVE, cost::CAN])?;
+            cost::check_firmware(&shell::elf_dir(), &flash::BOARDS.map(|(_, binary)| binary))?;
             cost::check_bench(&shell::elf_dir(), &shell::root())
         }),
         gate("library for C", move || {

@@ -178,8 +178,10 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         Section::new("Treatment of the logs", format!("Rows {:.3} ms apart.", 1e3 * report.period_s))
             .table("note", report.notes.iter().map(|note| [note.clone()])),
     ]);
+    // One path has no others.
     let lines = cards
         .iter()
+        .filter(|(value, _)| value.is_some())
         .map(|(value, label)| format!("{label:<56} {} × {}\n", ratio(*value), report.reference));
     let worst = ratio(report.worst_window_over_start_ratio);
     let (label, start) = ("worst 3 s of the newest parameters", &report.start);

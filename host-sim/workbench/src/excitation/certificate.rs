@@ -1,5 +1,6 @@
 //! Certificate of an excitation: every limit with its worst value, on a fine grid with bounds between its points.
 
+use super::clearance::Clearances;
 use super::information::{Criterion, NOISE, SAMPLES, SIGN_WIDTH_RAD_S, condition_number};
 use super::objective::{Objective, SearchConfig};
 use super::rates::{MotionBounds, TorqueRates};
@@ -145,6 +146,23 @@ clearance and torque: h/2 times a bound of their rate of change around each poin
 const CONDITION_NOTE: &str = "raw SI base regressor of the links, first independent columns from left to right; it depends on \
 link frames and columns: compare with the same frames and columns only";
 
+/// Limits of torque and clearance that `excitation` breaks, as [`certify`] finds them.
+pub(super) fn broken(robot: &Robot, excitation: &Excitation) -> Vec<LimitCheck> {
+    let points = POINTS.max((excitation.period_s / STEP_S).ceil() as usize);
+    let step = excitation.period_s / points as f64;
+    let states = (0..points).map(|k| excitation.motion(k as f64 * step));
+    let states: Vec<Motion> = states.collect();
+    let mut limits = torque_limits(robot, excitation, step, points);
+    limits.extend(clearance_limits(
+        excitation,
+        &Clearances::new(robot),
+        &states,
+        step,
+    ));
+    limits.retain(|check| check.margin < 0.0);
+    limits
+}
+
 /// Checks `excitation` against the limits of `robot`, as `config` has them.
 ///
 /// * `speed_share` share of the joints' limits that the search used
@@ -163,7 +181,12 @@ pub(super) fn certify(
     let states: Vec<Motion> = states.collect();
     let mut limits = joint_limits(robot, excitation, points, config.range_rad)?;
     limits.extend(torque_limits(robot, excitation, step, points));
-    limits.extend(clearance_limits(excitation, objective, &states, step));
+    limits.extend(clearance_limits(
+        excitation,
+        &objective.clearances,
+        &states,
+        step,
+    ));
 
     let board = Rows::new(robot, Frames::Board);
     let experiment = &objective.experiment;
@@ -318,11 +341,10 @@ fn torque_limits(
 
 fn clearance_limits(
     excitation: &Excitation,
-    objective: &Objective,
+    clearances: &Clearances,
     states: &[Motion],
     step: f64,
 ) -> Vec<LimitCheck> {
-    let clearances = &objective.clearances;
     let jerk = jerks(excitation);
     let mut worst = vec![f64::INFINITY; clearances.count()];
     let mut distances = worst.clone();

@@ -138,6 +138,23 @@ impl Excitation {
         Ok(())
     }
 
+    /// Checks limits of torque and clearance anew: those of the robot may have changed since the search.
+    ///
+    /// Errors: a line with the first that is broken.
+    pub fn check_torque_and_clearance(&self, robot: &Robot) -> Result<(), Refusal> {
+        match certificate::broken(robot, self).first() {
+            None => Ok(()),
+            Some(check) => Err(refused(format!(
+                "{} of {} reaches {:.3} {unit}, its limit is {:.3} {unit}: repeat excite",
+                check.limit,
+                check.of,
+                check.worst,
+                check.allowed,
+                unit = check.unit
+            ))),
+        }
+    }
+
     /// The series in f32, with the bounds it keeps: taken anew from the coefficients, as a certificate in a file proves
     /// nothing.
     ///
@@ -283,6 +300,31 @@ mod tests {
                 .max((extremes.q.1 - extremes.q.0) / (2.0 * PI));
             assert!((0.94..=0.9501).contains(&used), "{used}");
         }
+    }
+
+    #[test]
+    fn torque_and_clearance_are_those_of_the_robot_now() {
+        let mut robot = Robot::load("ur5").expect("built in");
+        let shipped = include_str!("../../../paths/ur5-excitation.json");
+        let excitation: Excitation = serde_json::from_str(shipped).expect("an excitation");
+        assert_eq!(excitation.check_torque_and_clearance(&robot), Ok(()));
+        let limit = robot.joints[1].limits.torque;
+        robot.joints[1].limits.torque = 20.0;
+        let broken = excitation
+            .check_torque_and_clearance(&robot)
+            .expect_err("weak");
+        assert!(
+            broken
+                .to_string()
+                .contains("torque of shoulder_lift reaches"),
+            "{broken}"
+        );
+        robot.joints[1].limits.torque = limit;
+        robot.workspace.table_height = Some(1.0);
+        let broken = excitation
+            .check_torque_and_clearance(&robot)
+            .expect_err("high");
+        assert!(broken.to_string().contains("clearance of "), "{broken}");
     }
 
     #[test]

@@ -133,6 +133,24 @@ pub(super) fn joint_places(
     Ok(Some((columns, is_own)))
 }
 
+/// Places of `cores` among more names, where one beginning and one end go with all of them: a gripper has joints of its own.
+fn framed(there: &[&str], cores: &[&str]) -> Option<Vec<usize>> {
+    let first = cores.first().filter(|core| !core.is_empty())?;
+    let within = |name: &&str| -> Vec<(String, String)> {
+        let places = name.match_indices(first);
+        places
+            .map(|(at, _)| (name[..at].to_owned(), name[at + first.len()..].to_owned()))
+            .collect()
+    };
+    there.iter().flat_map(within).find_map(|(head, tail)| {
+        let place = |core: &&str| {
+            let own = format!("{head}{core}{tail}");
+            there.iter().position(|name| **name == own)
+        };
+        cores.iter().map(place).collect()
+    })
+}
+
 /// Columns by names of joints that differ from those of the description in what all of them begin and end with.
 fn renamed(
     rows: &Rows,
@@ -149,9 +167,11 @@ fn renamed(
     let ours: Vec<&str> = robot.joints.iter().map(|own| own.name.as_str()).collect();
     let (cores_there, cores_ours) = (cores(&there), cores(&ours));
     let mut columns = PerJoint::repeat(ours.len(), 0);
-    for (column, core) in columns.iter_mut().zip(&cores_ours) {
+    let framed = framed(&there, &cores_ours);
+    for (joint, (column, core)) in columns.iter_mut().zip(&cores_ours).enumerate() {
         let place = cores_there.iter().position(|other| other == core);
-        let Some(place) = place.filter(|_| there.len() == ours.len()) else {
+        let place = place.filter(|_| there.len() == ours.len());
+        let Some(place) = place.or(framed.as_ref().map(|framed| framed[joint])) else {
             let problem = format!(
                 "the log has joints {}, the robot {}: name the columns by --columns-from FILE",
                 there.join(", "),
@@ -238,6 +258,9 @@ mod tests {
         assert_eq!(cores(&["fer_joint1", "fer_joint2"]), ["1", "2"]);
         assert_eq!(cores(&["a_joint", "wrist_joint"]), ["a", "wrist"]);
         assert_eq!(cores(&["aa", "aaa"]), ["", "a"]);
+        let there = ["l_grip", "l_wrist_j", "l_base_j", "l_tip_j"];
+        assert_eq!(framed(&there, &["base", "wrist"]), Some(vec![2, 1]));
+        assert_eq!(framed(&there, &["base", "elbow"]), None);
     }
 
     #[test]
