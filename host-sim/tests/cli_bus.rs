@@ -84,7 +84,7 @@ fn an_arm_is_commissioned_and_a_mistake_is_one_line() {
     let out = here.join("out");
     let written = ["commission.json", "driven", "excitation", "identified"];
     assert_eq!(here.files(&out), written);
-    let (_, next) = text.split_once("next: host-sim drive --bank ").unwrap();
+    let (_, next) = text.split_once(" --bank ").unwrap();
     let bank = next.split_whitespace().next().unwrap();
     assert!(here.join(bank).is_file(), "{bank}");
     // A repeated step keeps the findings of the others.
