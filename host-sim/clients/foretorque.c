@@ -146,7 +146,9 @@ static const uint8_t *answer(struct board *board, uint8_t wanted) {
     for (;;) {
         uint8_t byte;
         struct pollfd port = {.fd = board->port, .events = POLLIN};
-        if (poll(&port, 1, TIMEOUT_MS) == 0) fail("the board does not answer");
+        int ready = poll(&port, 1, TIMEOUT_MS);
+        if (ready < 0 && errno == EINTR) continue;
+        if (ready <= 0) fail("the board does not answer");
         ssize_t received = read(board->port, &byte, 1);
         if (received < 0 && errno == EINTR) continue;
         if (received <= 0) fail("the port is gone");
@@ -255,6 +257,15 @@ static void interrupt(int number) {
     interrupted = 1;
 }
 
+/* The place that the drives hold without torque, whatever ends the program. */
+static struct sample hold;
+static int held_joints;
+
+static void let_go(void) {
+    const float zero[MOST_JOINTS] = {0.0f};
+    drives_command(&hold, zero, held_joints);
+}
+
 /* Lets the torque go to zero while the drives hold the position; they get every torque on the way, then zero. */
 static void disarm(struct board *board, struct sample *sample, float *torque) {
     memset(sample->qd, 0, sizeof sample->qd);
@@ -326,6 +337,9 @@ int main(int count, char **arguments) {
     signal(SIGINT, interrupt);
     signal(SIGTERM, interrupt);
     board_command(&board, ARM);
+    hold = sample;
+    held_joints = n;
+    atexit(let_go);
 
     log = freopen(name, "w", log); /* A log from before stays where the board refuses. */
     if (!log) fail_at(name);
@@ -343,6 +357,7 @@ int main(int count, char **arguments) {
         if (early_s > 0.0) usleep((useconds_t)(1e6 * early_s));
         drives_read(&sample);
         motion(t_s, start, n, &sample);
+        memcpy(hold.q, sample.q, sizeof hold.q);
         board_sample(&board, &sample, torque);
         if (board.safety != ARMED) {
             fprintf(stderr, "error: the board ended the torque: state %d, reason %d (docs/safety.md)\n", board.safety,

@@ -13,7 +13,7 @@ use foretorque::learning::rated_payload;
 use foretorque_link::bank::Parameters;
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
 use foretorque_workbench::bus::{
-    BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step, usual_time,
+    BusChoice, BusPlayer, Commissioning, Found, Network, Profile, Step,
 };
 use foretorque_workbench::dynamics::{Joints, ReferenceModel};
 use foretorque_workbench::files::WholeFile;
@@ -105,9 +105,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .filter_map(|name| Some((*name, name.on_arm()?)))
         .collect();
     if !on_arm.is_empty() {
-        let done = on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot, &on_arm));
-        usual_time();
-        done?;
+        on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot, &on_arm))?;
     }
     for name in wanted {
         if name.on_arm().is_none() {
@@ -156,9 +154,7 @@ impl Arguments {
                 ];
                 let mut drive: drive::Arguments = of(words.as_flattened())?;
                 drive.arm = self.arm.clone();
-                let driven = drive::run(&drive);
-                usual_time();
-                driven
+                drive::run(&drive)
             }
             StepName::Identify => {
                 let log = format!("{driven}/log.csv");

@@ -135,27 +135,37 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     bank: ParameterBank,
     parameters: Parameters<N, P>,
     path: Trajectory<N>,
+    /// End of the path, and time in which it slows down to it where it does not end at rest, s.
+    end_s: f64,
+    stop_s: f64,
     ticks: usize,
     arm: std::marker::PhantomData<A>,
 }
 
 /// Speed at the begin of a path that a drive from rest takes, rad/s.
 const MOVES_RAD_S: f64 = 0.02;
-/// Shortest stop behind a path that does not end at rest, s.
+/// Shortest time in which a path that does not end at rest slows down, s; an instant before its end.
 const STOP_S: f64 = 0.3;
+const LAST_S: f64 = 1e-6;
 /// Share of the ticks with a cut torque that is no trouble.
 const TOLERATED: f64 = 0.05;
 
-/// Motion `share` of the way through a stop from `end` in `stop_s`, s.
+/// Place on a path at `t_s`, s, its rate, and the rate's change, 1/s, where the path slows down to its end at `end_s`, s, in
+/// `stop_s`, s.
 ///
-/// `qd = qd0 (1 − 3 s² + 2 s³)`, without a jump of the acceleration at its end.
-fn stopping<const N: usize>(end: &State<N>, stop_s: f64, share: f64) -> State<N> {
-    let s = share;
-    State {
-        q: end.q + end.qd * (stop_s * (s - s.powi(3) + 0.5 * s.powi(4))),
-        qd: end.qd * (1.0 - s * s * (3.0 - 2.0 * s)),
-        qdd: end.qd * (6.0 * s * (s - 1.0) / stop_s),
+/// From half of that before the end on, with s from 0 to 1: `rate = 1 − 3 s² + 2 s³`, whose integral is a half.
+fn slowed(t_s: f64, end_s: f64, stop_s: f64) -> (f64, f64, f64) {
+    let begin_s = end_s - 0.5 * stop_s;
+    if stop_s == 0.0 || t_s <= begin_s {
+        return (t_s, 1.0, 0.0);
     }
+    let s = ((t_s - begin_s) / stop_s).min(1.0);
+    let place = begin_s + stop_s * (s - s.powi(3) + 0.5 * s.powi(4));
+    (
+        place,
+        1.0 - s * s * (3.0 - 2.0 * s),
+        6.0 * s * (s - 1.0) / stop_s,
+    )
 }
 
 struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
@@ -200,8 +210,17 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         if begin > MOVES_RAD_S {
             bail!("--trajectory {name}: it begins at {begin:.3} rad/s, and an arm that stands");
         }
-        let duration_s = arguments.duration_s.unwrap_or(f64::INFINITY);
-        let duration_s = duration_s.min(path.duration_s());
+        let end_s = arguments.duration_s.unwrap_or(f64::INFINITY);
+        let end_s = end_s.min(path.duration_s());
+        let end: State<N> = path.at(end_s - LAST_S);
+        let stop_s = match end.qd.amax() < MOVES_RAD_S {
+            true => 0.0,
+            false => {
+                let joints = end.qd.iter().zip(&robot.joints);
+                let slow = joints.map(|(qd, joint)| 1.5 * qd.abs() / joint.limits.acceleration);
+                slow.fold(STOP_S, f64::max).min(2.0 * end_s)
+            }
+        };
         Ok(Self {
             arguments,
             profile,
@@ -210,9 +229,27 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             bank,
             parameters,
             path,
-            ticks: (duration_s / period_s).round() as usize,
+            end_s,
+            stop_s,
+            ticks: ((end_s + 0.5 * stop_s) / period_s).round() as usize,
             arm: std::marker::PhantomData,
         })
+    }
+
+    /// Desired motion at `t_s`, s.
+    fn motion(&self, t_s: f64) -> State<N> {
+        let (place_s, rate, change) = slowed(t_s, self.end_s, self.stop_s);
+        let last_s = if self.stop_s > 0.0 {
+            self.end_s - LAST_S
+        } else {
+            place_s
+        };
+        let on_path: State<N> = self.path.at(place_s.min(last_s));
+        State {
+            q: on_path.q,
+            qd: on_path.qd * rate,
+            qdd: on_path.qdd * (rate * rate) + on_path.qd * change,
+        }
     }
 
     /// The simulated arm at the begin of the path.
@@ -284,7 +321,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let left_out_s = player.left_out_s();
         for tick in 0..self.ticks {
             let t_s = tick as f64 * period_s;
-            let motion = motion_f32(&self.path.at(t_s + lead_s));
+            let motion = motion_f32(&self.motion(t_s + lead_s));
             let result = player.tick(Some(&motion))?;
             player.check()?;
             played.ticks += 1;
@@ -293,7 +330,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             {
                 *count += usize::from(result.torque.flags.contains(flag));
             }
-            let desired = self.path.at((t_s - age_s).max(0.0));
+            let desired = self.motion((t_s - age_s).max(0.0));
             if let Some(measured) = result.measured {
                 let measured = Measurement {
                     q: measured.q.cast::<f64>(),
@@ -321,27 +358,6 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             if tick % 256 == 0 {
                 bar.show("drive", tick, self.ticks);
             }
-        }
-        self.halt(player)
-    }
-
-    /// Brings an arm to rest where its path was cut.
-    fn halt(&self, player: &mut BusPlayer<A, Attended, N, P>) -> Result<(), Failure> {
-        let period_s = 1.0 / self.profile.rate_hz;
-        let end = self
-            .path
-            .at(self.ticks as f64 * period_s + self.profile.lead_s());
-        if end.qd.amax() < MOVES_RAD_S {
-            return Ok(());
-        }
-        let slowest = (end.qd.iter().zip(&self.robot.joints))
-            .map(|(qd, joint)| 1.5 * qd.abs() / joint.limits.acceleration);
-        let stop_s = slowest.fold(STOP_S, f64::max);
-        let ticks = (stop_s / period_s).ceil() as usize;
-        for tick in 1..=ticks {
-            let motion = stopping(&end, stop_s, tick as f64 / ticks as f64);
-            player.tick(Some(&motion_f32(&motion)))?;
-            player.check()?;
         }
         Ok(())
     }
@@ -385,16 +401,6 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         if let Some(reason) = played.ended {
             bail!("{reason}");
         }
-        let kinds = ["a torque was at its limit", "learnt torque was clipped"];
-        for (kind, count) in kinds.into_iter().zip(played.cut) {
-            let share = count as f64 / played.ticks.max(1) as f64;
-            if share > TOLERATED {
-                bail!(
-                    "{kind} for {:.0} % of the path: a slower path, or limits of the profile",
-                    100.0 * share
-                );
-            }
-        }
         let (ticks, rate_hz) = (summary.ticks, summary.rate_hz);
         show!(
             "{ticks} ticks at {rate_hz} Hz, tracking error {} mrad RMS in the second half",
@@ -407,7 +413,21 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         show!(
             "begin of the ticks: median {median:.0} µs late, 99.9 % {high:.0} µs, largest {largest:.0} µs; \
              {lost} replies lost"
-        )
+        )?;
+        let [cut, clipped] = played.cut.map(|count| count as f64 / ticks.max(1) as f64);
+        if clipped > TOLERATED {
+            show!(
+                "learnt torque was clipped for {:.0} % of the path",
+                100.0 * clipped
+            )?;
+        }
+        if cut > TOLERATED {
+            bail!(
+                "a torque was at its limit for {:.0} % of the path: a slower path, or limits of the profile",
+                100.0 * cut
+            );
+        }
+        Ok(())
     }
 }
 
@@ -416,18 +436,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stop_goes_on_from_the_end_of_the_path_and_ends_at_rest() {
-        let mut end = State::<1>::rest(Joints::zeros());
-        (end.q[0], end.qd[0]) = (0.5, 2.0);
-        let at = |share: f64| stopping(&end, 0.4, share);
-        assert_eq!((at(0.0).q[0], at(0.0).qd[0]), (0.5, 2.0));
-        assert_eq!((at(1.0).qd[0], at(1.0).qdd[0]), (0.0, 0.0));
+    fn a_path_that_is_cut_slows_down_to_its_end() {
+        let at = |t_s: f64| slowed(t_s, 5.0, 0.4);
+        assert_eq!(at(4.8), (4.8, 1.0, 0.0));
+        let (place, rate, change) = at(5.2);
+        assert!((place - 5.0).abs() < 1e-12 && rate.abs() < 1e-12 && change.abs() < 1e-12);
+        assert_eq!(at(9.0), at(5.2));
+        let h = 1e-5;
         for k in 1..100 {
-            let (s, h) = (f64::from(k) / 100.0, 1e-5);
-            let change =
-                |of: fn(&State<1>) -> f64| (of(&at(s + h)) - of(&at(s - h))) / (0.4 * 2.0 * h);
-            assert!((change(|state| state.q[0]) - at(s).qd[0]).abs() < 1e-6);
-            assert!((change(|state| state.qd[0]) - at(s).qdd[0]).abs() < 1e-4);
+            let t_s = 4.7 + 0.005 * f64::from(k) + 1e-4;
+            let (_, rate, change) = at(t_s);
+            let [before, after] = [at(t_s - h), at(t_s + h)];
+            assert!(((after.0 - before.0) / (2.0 * h) - rate).abs() < 1e-6);
+            assert!(((after.1 - before.1) / (2.0 * h) - change).abs() < 1e-3);
         }
+        assert_eq!(slowed(6.0, 5.0, 0.0), (6.0, 1.0, 0.0));
     }
 }

@@ -56,7 +56,6 @@ impl Protocol {
         }
     }
 
-    /// Largest values of a command, in the coordinates of the drive: what its frame carries.
     /// The drive controls velocity or torque alone, and needs a position loop elsewhere.
     pub fn is_without_position(&self) -> bool {
         match self {
@@ -66,6 +65,7 @@ impl Protocol {
         }
     }
 
+    /// Largest values of a command, in the coordinates of the drive: what its frame carries.
     pub(crate) fn largest(&self) -> Ranges {
         const SHORT: f32 = i16::MAX as f32;
         const LONG: f32 = i32::MAX as f32;

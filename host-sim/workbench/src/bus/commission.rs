@@ -186,6 +186,8 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
             let drives = own.player.controller.drives();
             std::array::from_fn(|joint| drives.counters(joint).replies)
         };
+        // What has come while somebody was asked is old.
+        self.player.tick(None)?;
         let before = replies(self);
         self.listen()?;
         let after = replies(self);

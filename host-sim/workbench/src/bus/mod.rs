@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
 use std::{fmt, io};
 use text::{TextForm, TextLine};
 use thread_priority::unix::{
-    NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
+    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy,
+    thread_native_id,
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
@@ -205,15 +205,6 @@ pub fn real_time() -> Result<(), String> {
     let all =
         nix::sys::mman::MlockAllFlags::MCL_CURRENT | nix::sys::mman::MlockAllFlags::MCL_FUTURE;
     nix::sys::mman::mlockall(all).map_err(|error| error.to_string())
-}
-
-/// Gives this thread its usual priority back, and memory the system's care.
-pub fn usual_time() {
-    let usual = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
-    let none = ThreadPriority::Crossplatform(ThreadPriorityValue::MIN);
-    // Where there was no other one, nothing changes.
-    let _ = set_thread_priority_and_policy(thread_native_id(), none, usual);
-    let _ = nix::sys::mman::munlockall();
 }
 
 /// Drops what was typed at the terminal so far: it does not answer a request that comes later.

@@ -99,7 +99,9 @@ pub fn interrupt() {
         any = true;
         full += u32::from(!arrived.put((port, *frame)));
     });
-    let off = bridge.ports().iter_mut().any(FramePort::is_off);
+    // Each port forgets by being asked.
+    let off = bridge.ports().iter_mut().map(FramePort::is_off);
+    let off = off.fold(false, |off, own| off | own);
     // A bus that comes back between two ticks was off all the same.
     OFF.fetch_or(off, Ordering::Relaxed);
     LOST.fetch_add(full + bridge.lost().wrapping_sub(before), Ordering::Relaxed);

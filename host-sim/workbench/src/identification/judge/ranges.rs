@@ -155,7 +155,9 @@ impl Held {
         if value != self.value {
             let held_s = t_s - self.since_s;
             self.rate = (value - self.value) / held_s;
-            self.rows = if held_s > 1.1 * span_s { 2 } else { 0 };
+            // After a rest a jump is one.
+            let slower = held_s > 1.1 * span_s && held_s < SPAN_S;
+            self.rows = if slower { 2 } else { 0 };
             (self.value, self.since_s) = (value, t_s);
         }
         (self.rows > 0).then_some(self.rate)
@@ -661,12 +663,18 @@ mod tests {
         let (seen, findings) = scanned(rows);
         assert!((seen.speed - 2.0).abs() < 0.3, "{}", seen.speed);
         assert!(findings.is_empty(), "{findings:?}");
-        // A single wrong row does.
-        let rows = (0..4000).map(|k| {
-            let t = 2e-3 * f64::from(k);
-            [t, if k == 2000 { 1.0 } else { 0.3 }, 50.0 * t.sin()]
-        });
-        assert!(scanned(rows).0.speed > 100.0);
+        // A single wrong row does, and so does a turn that is lost.
+        for wrong in [2000..2001, 2000..4000] {
+            let rows = (0..4000).map(|k| {
+                let t = 2e-3 * f64::from(k);
+                [
+                    t,
+                    if wrong.contains(&k) { 1.0 } else { 0.3 },
+                    50.0 * t.sin(),
+                ]
+            });
+            assert!(scanned(rows).0.speed > 100.0, "{wrong:?}");
+        }
     }
 
     #[test]
