@@ -40,7 +40,7 @@ fn simulated_drives_are_driven_and_the_summary_names_the_ratio() {
     let last: Vec<f64> = (log.lines().last().expect("a row").split(','))
         .map(|field| field.parse().expect("a number"))
         .collect();
-    assert!(last[7..13].iter().all(|qd| qd.abs() < 0.01), "{last:?}");
+    assert!(last[7..13].iter().all(|qd| qd.abs() < 0.05), "{last:?}");
     assert!(number(&summary["tracking_ratio"]) > 1.0, "{summary}");
     assert!(here.text("out/log.csv").lines().count() > 5990);
     let again = here.succeeds(&command);
