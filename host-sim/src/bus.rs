@@ -10,7 +10,7 @@ use foretorque::arm::Arm;
 use foretorque_link::bus::{BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Frame, Protocol};
 use foretorque_workbench::bus::{
-    Ask, BusChoice, BusError, Network, Profile, WiredNetwork, forget_typed, real_time,
+    Ask, BusChoice, BusError, Network, Profile, WiredNetwork, discard_typed, real_time,
 };
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::robot::Robot;
@@ -86,7 +86,7 @@ impl Network for Attended {
 
 /// Asks whoever is at the terminal for something, and waits until it is done.
 pub(super) fn prompt(request: &str) -> io::Result<()> {
-    forget_typed();
+    discard_typed();
     write_line(format_args!("{request}, then press Enter"))?;
     let mut line = String::new();
     match io::stdin().lock().read_line(&mut line)? {

@@ -84,13 +84,13 @@ fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
         }
         Value::Array(values) if values.len() <= LONGEST => {
             for (number, value) in (1..).zip(values) {
-                flatten(below(&called(number, value)), value, into);
+                flatten(below(&entry_name(number, value)), value, into);
             }
         }
         // Of curves every point would be a line.
         Value::Array(values) if values.iter().all(Value::is_object) => {
             for (number, value) in (1..).zip(values) {
-                flatten(below(&called(number, value)), value, into);
+                flatten(below(&entry_name(number, value)), value, into);
             }
         }
         Value::Array(_) | Value::Null => {}
@@ -101,7 +101,7 @@ fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
 }
 
 /// Name of an entry in a list: by what tells it from the others, else its number.
-fn called(number: usize, value: &Value) -> String {
+fn entry_name(number: usize, value: &Value) -> String {
     let fields = [
         "name", "path", "arm", "scenario", "seed", "limit", "of", "figure",
     ];

@@ -144,8 +144,9 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
 
 /// Speed at the begin of a path that a drive from rest takes, rad/s.
 const MOVES_RAD_S: f64 = 0.02;
-/// Shortest time in which a path that does not end at rest slows down, s; an instant before its end.
+/// Shortest time in which a path that does not end at rest slows down, s.
 const STOP_S: f64 = 0.3;
+/// Time before the end of a path at which its last motion is taken, s.
 const LAST_S: f64 = 1e-6;
 /// Share of the ticks with a cut torque that is no trouble.
 const TOLERATED: f64 = 0.05;
@@ -208,7 +209,9 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let begin: State<N> = path.at(0.0);
         let begin = begin.qd.amax();
         if begin > MOVES_RAD_S {
-            bail!("--trajectory {name}: it begins at {begin:.3} rad/s, and an arm that stands");
+            bail!(
+                "--trajectory {name}: it begins at {begin:.3} rad/s: the arm starts at rest, so the path must"
+            );
         }
         let end_s = arguments.duration_s.unwrap_or(f64::INFINITY);
         let end_s = end_s.min(path.duration_s());

@@ -109,6 +109,19 @@ fn an_arm_as_described_passes_below_a_tenth_of_its_torque() {
     assert!(arm.player.network.all_off());
 }
 
+#[test]
+fn an_interrupt_of_the_parking_switches_every_drive_off_all_the_same() {
+    for at_s in [0.002, 0.3, 0.9] {
+        let mut player = arm(|_| ()).player;
+        player.arm().expect("sound drives");
+        let from_s = player.network.t_s() + at_s;
+        player.network.fault = TimedFault::new(LineFault::Interrupt, from_s..1e9);
+        let ended = player.park().expect_err("interrupted");
+        assert!(matches!(ended, BusError::Interrupted(_)), "{ended}");
+        assert!(player.network.all_off(), "{at_s} s");
+    }
+}
+
 /// Drives that fall silent before and in the push of joint 3, the pushed one among them, while two others hold their pose.
 #[test]
 fn no_joint_is_pushed_or_held_without_replies() {

@@ -260,7 +260,7 @@ impl<const N: usize> BusDrives<N> {
                 // A drive that was away may have come back with another scale.
                 let links = self.links.iter_mut().flatten();
                 let away = links.filter(|link| link.age >= silence);
-                away.for_each(JointLink::forget_scales);
+                away.for_each(JointLink::invalidate_scales);
                 return self.fault.is_some();
             }
             BusPhase::Damping(_) => {

@@ -246,7 +246,7 @@ impl JointLink {
     }
 
     /// Drops the scales, so that they are read again.
-    pub(super) fn forget_scales(&mut self) {
+    pub(super) fn invalidate_scales(&mut self) {
         for check in &mut self.scales {
             if *check != ScaleCheck::Unreadable {
                 *check = ScaleCheck::Unknown;

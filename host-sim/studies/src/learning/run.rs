@@ -50,17 +50,22 @@ pub(super) struct Trace<const N: usize> {
     pub(super) armed: bool,
 }
 
+fn window_ratios(seconds: &[Second]) -> Vec<f64> {
+    let ratio = |window: &[Second]| {
+        let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
+        match (sum(0), sum(1)) {
+            (0.0, 0.0) => None,
+            (learnt, start) if (learnt + start).is_finite() => Some((learnt / start).sqrt()),
+            _ => Some(f64::INFINITY),
+        }
+    };
+    seconds.windows(WINDOW_S).filter_map(ratio).collect()
+}
+
 impl<const N: usize> Trace<N> {
-    /// Learnt error over that of the start on every window with motion; infinite where a torque was no number.
+    /// Learnt error over that of the start on every window with motion; infinite where a torque was not finite.
     pub(super) fn windows(&self) -> Vec<f64> {
-        let windows = self.seconds.windows(WINDOW_S).filter_map(|window| {
-            let sum = |k: usize| window.iter().map(|second| second[k]).sum::<f64>();
-            let (learnt, start) = (sum(0), sum(1));
-            let ratio = (learnt / start).sqrt();
-            let moved = (learnt, start) != (0.0, 0.0);
-            moved.then_some(if ratio.is_nan() { f64::INFINITY } else { ratio })
-        });
-        windows.collect()
+        window_ratios(&self.seconds)
     }
 }
 
@@ -330,5 +335,20 @@ fn correlation(residuals: &[f64]) -> f64 {
         (sums / plain).max(1.0)
     } else {
         1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_with_a_torque_that_is_not_finite_are_the_worst() {
+        let mut seconds = [[1.0, 4.0, 1.0]; 3 * WINDOW_S];
+        assert!(window_ratios(&seconds).iter().all(|ratio| *ratio == 0.5));
+        seconds[0][0] = f64::NAN;
+        let ratios = window_ratios(&seconds);
+        assert_eq!((ratios[0], ratios[1]), (f64::INFINITY, 0.5));
+        assert!(window_ratios(&[[0.0; 3]; WINDOW_S]).is_empty(), "rest");
     }
 }

@@ -181,12 +181,12 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     /// Positions that the drives report now, rad.
     ///
     /// Errors: the first drive that does not.
-    fn heard(&mut self) -> Result<Joints<N>, BusError> {
+    fn reported_positions(&mut self) -> Result<Joints<N>, BusError> {
         let replies = |own: &Self| -> [u32; N] {
             let drives = own.player.controller.drives();
             std::array::from_fn(|joint| drives.counters(joint).replies)
         };
-        // What has come while somebody was asked is old.
+        // Replies from during a request are old.
         self.player.tick(None)?;
         let before = replies(self);
         self.listen()?;
@@ -272,10 +272,10 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     }
 
     fn turn(&mut self, joint: usize) -> Result<(), BusError> {
-        let before = self.heard()?;
+        let before = self.reported_positions()?;
         let turn = |by_rad| Ask::Turn { joint, by_rad };
         self.player.network.ask(&turn(TURN_RAD))?;
-        let change = self.heard()? - before;
+        let change = self.reported_positions()? - before;
         self.player.network.ask(&turn(-TURN_RAD))?;
         let ratio = change[joint] / TURN_RAD;
         let moved = (0..N).max_by(|a, b| change[*a].abs().total_cmp(&change[*b].abs()));
@@ -309,7 +309,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
     fn zero(&mut self) -> Result<(), BusError> {
         let pose = self.rest.iter().copied().collect();
         self.player.network.ask(&Ask::Pose(pose))?;
-        let here = self.heard()?;
+        let here = self.reported_positions()?;
         for joint in 0..N {
             let (here, rest) = (here[joint], self.rest[joint]);
             let error = here - rest;

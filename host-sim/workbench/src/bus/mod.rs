@@ -137,7 +137,7 @@ impl WiredNetwork {
         }
     }
 
-    fn lost(&mut self, bus: usize, error: io::Error) -> BusError {
+    fn drop_line(&mut self, bus: usize, error: io::Error) -> BusError {
         self.lines[bus] = None;
         BusError::Failed(self.names[bus].clone(), error)
     }
@@ -153,7 +153,7 @@ impl Network for WiredNetwork {
         match self.lines.get_mut(bus) {
             Some(Some(line)) => {
                 let sent = line.send(frame);
-                sent.map_err(|error| self.lost(bus, error))
+                sent.map_err(|error| self.drop_line(bus, error))
             }
             _ => Ok(()),
         }
@@ -167,7 +167,7 @@ impl Network for WiredNetwork {
             match line.receive() {
                 Ok(Some(frame)) => return Ok(Some((bus as u8, frame))),
                 Ok(None) => {}
-                Err(error) => return Err(self.lost(bus, error)),
+                Err(error) => return Err(self.drop_line(bus, error)),
             }
         }
         Ok(None)
@@ -207,8 +207,8 @@ pub fn real_time() -> Result<(), String> {
     nix::sys::mman::mlockall(all).map_err(|error| error.to_string())
 }
 
-/// Drops what was typed at the terminal so far: it does not answer a request that comes later.
-pub fn forget_typed() {
+/// Discard what was typed at the terminal so far: it is no answer to a later request.
+pub fn discard_typed() {
     // Fails where the input is no terminal: then nothing is dropped.
     let _ = nix::sys::termios::tcflush(io::stdin(), nix::sys::termios::FlushArg::TCIFLUSH);
 }

@@ -99,7 +99,7 @@ pub fn interrupt() {
         any = true;
         full += u32::from(!arrived.put((port, *frame)));
     });
-    // Each port forgets by being asked.
+    // Reading clears the latch of a port, so both are read.
     let off = bridge.ports().iter_mut().map(FramePort::is_off);
     let off = off.fold(false, |off, own| off | own);
     // A bus that comes back between two ticks was off all the same.

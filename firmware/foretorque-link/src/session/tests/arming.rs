@@ -368,3 +368,40 @@ fn m7_what_was_latched_or_damaged_at_the_start_refuses_to_arm() {
         assert_eq!(board.session.torque_enabled(), left == None);
     }
 }
+
+/// Sensor of drives that are off until `0` is false.
+struct Waiting(bool);
+
+impl LocalSensor<N> for Waiting {
+    fn measure(&mut self, _: &mut Option<JointSample<N>>, _: bool) -> SafetyReason {
+        SafetyReason::None
+    }
+
+    fn holds(&self) -> bool {
+        self.0
+    }
+}
+
+#[test]
+fn an_excitation_that_waits_for_drives_ends_with_the_arming() {
+    let order = |command| HostMessage::Excitation(command);
+    let mut board = Board::measuring(Waiting(true));
+    assert_eq!(board.upload_excitation(&keys::excitation(), None), ACK);
+    (0..300).for_each(|_| _ = board.sample(0));
+    let ready = BoardMessage::Excitation(ExcitationState::Ready);
+    board.acknowledged(HostMessage::Arm);
+    assert_eq!(board.request(order(ExcitationCommand::Start)), ready);
+    board.acknowledged(HostMessage::Disarm);
+    board.sample(0);
+    board.sensor.0 = false;
+    board.arm();
+    board.sample(0);
+    assert_eq!(board.request(order(ExcitationCommand::Status)), ready);
+    // Without the end of the arming it begins.
+    assert_eq!(board.request(order(ExcitationCommand::Start)), ready);
+    let replies = board.send(&sample_message(0));
+    assert!(
+        matches!(replies[..], [(_, BoardMessage::Excited(_))]),
+        "{replies:?}"
+    );
+}

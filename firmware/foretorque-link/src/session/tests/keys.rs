@@ -34,16 +34,6 @@ impl Board {
         Some(key(byte).sign_upload(&nonce, Ur5::HASH, upload))
     }
 
-    pub(super) fn upload_excitation(
-        &mut self,
-        program: &[u8],
-        mac: Option<Mac>,
-    ) -> BoardMessage<N> {
-        self.write(program);
-        let (length, crc) = (program.len() as u16, CRC.checksum(program));
-        self.request(HostMessage::ExcitationLoad { length, crc, mac })
-    }
-
     fn unlock(&mut self, byte: u8, order: [u8; 2]) -> BoardMessage<N> {
         let nonce = self.challenge();
         let mac = key(byte).sign_order(&nonce, Ur5::HASH, order);

@@ -217,6 +217,12 @@ impl<S: LocalSensor<N>> Board<S> {
         self.write(bank);
         self.commit(bank, mac)
     }
+
+    fn upload_excitation(&mut self, program: &[u8], mac: Option<Mac>) -> BoardMessage<N> {
+        self.write(program);
+        let (length, crc) = (program.len() as u16, CRC.checksum(program));
+        self.request(HostMessage::ExcitationLoad { length, crc, mac })
+    }
 }
 
 /// The default configuration, but for `change`.

@@ -330,7 +330,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let joints = self.player.controller.config().joints;
         let here = self.player.positions();
         let mut carries = [Carry::default(); N];
-        // Periods since the last reply of each joint.
+        // Time since the last reply of each joint, s.
         let mut ages = [0.0; N];
         let left_out_s = self.player.left_out_s();
         let mut path: Vec<Sample<N>> = Vec::new();

@@ -1,8 +1,8 @@
 //! Torques of a log against those of the description: signs, sizes, noise.
 
 use super::explained::{Explained, SIGN_EVIDENCE, explain, links, weight};
-use super::ranges::Extremes;
 use super::readings::other_reading;
+use super::sums::Extremes;
 use super::{DEVIATIONS, JointCheck, Judgement, MOVED, NOISE_SHARE, SOUND_SCALE, SOUND_SIZE};
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::identification::columns::SIGN_WIDTH_RAD_S;

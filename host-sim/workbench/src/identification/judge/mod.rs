@@ -9,6 +9,7 @@ mod explained;
 mod fitted;
 mod ranges;
 mod readings;
+mod sums;
 
 pub use fitted::unexplained;
 pub(super) use fitted::{after_fit, change, description};
@@ -26,10 +27,11 @@ use compare::{Fits, compare};
 use delay::{Delay, delay, fast_rows};
 use fitted::{across, payload};
 use nalgebra::DMatrix;
-use ranges::{Extremes, scan, units};
+use ranges::units;
 use readings::at_rate;
 use serde::Serialize;
 use std::path::PathBuf;
+use sums::{Extremes, scan};
 
 /// Most rows that are compared with the description.
 const ROWS: usize = 1199;

@@ -3,7 +3,7 @@
 
 use super::CENTRE_M;
 use super::explained::{COLUMNS, Explained, explain, links, of_drive, weight};
-use super::ranges::Extremes;
+use super::sums::Extremes;
 use crate::dynamics::{Motion, PerJoint, RigidBodies};
 use crate::metrics::even_sample;
 use crate::robot::Robot;
