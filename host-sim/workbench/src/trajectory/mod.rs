@@ -145,6 +145,9 @@ impl<const N: usize> Trajectory<N> {
             return Ok(Self::unseen(robot, seed, length_s));
         }
         let path = Path::new(name);
+        if path.extension().is_none() && !path.exists() {
+            return Err(Refusal::of(name, "neither `validation` nor a file"));
+        }
         let trajectory = match path.extension().and_then(|extension| extension.to_str()) {
             Some("json") => {
                 let series = excitation(path, robot)?;
