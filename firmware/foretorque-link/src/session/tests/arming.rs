@@ -383,25 +383,26 @@ impl LocalSensor<N> for Waiting {
 }
 
 #[test]
-fn an_excitation_that_waits_for_drives_ends_with_the_arming() {
-    let order = |command| HostMessage::Excitation(command);
-    let mut board = Board::measuring(Waiting(true));
-    assert_eq!(board.upload_excitation(&keys::excitation(), None), ACK);
-    (0..300).for_each(|_| _ = board.sample(0));
+fn an_excitation_begins_with_the_drives_of_its_arming_or_not_at_all() {
+    let order = HostMessage::Excitation;
     let ready = BoardMessage::Excitation(ExcitationState::Ready);
-    board.acknowledged(HostMessage::Arm);
-    assert_eq!(board.request(order(ExcitationCommand::Start)), ready);
-    board.acknowledged(HostMessage::Disarm);
-    board.sample(0);
-    board.sensor.0 = false;
-    board.arm();
-    board.sample(0);
-    assert_eq!(board.request(order(ExcitationCommand::Status)), ready);
-    // Without the end of the arming it begins.
-    assert_eq!(board.request(order(ExcitationCommand::Start)), ready);
-    let replies = board.send(&sample_message(0));
-    assert!(
-        matches!(replies[..], [(_, BoardMessage::Excited(_))]),
-        "{replies:?}"
-    );
+    for disarmed in [true, false] {
+        let mut board = Board::measuring(Waiting(true));
+        let uploaded = board.upload_excitation(&keys::excitation(), None);
+        assert_eq!(uploaded, ACK);
+        (0..300).for_each(|_| _ = board.sample(0));
+        board.acknowledged(HostMessage::Arm);
+        assert_eq!(board.request(order(ExcitationCommand::Start)), ready);
+        if disarmed {
+            board.acknowledged(HostMessage::Disarm);
+        }
+        board.sample(0);
+        board.sensor.0 = false;
+        if disarmed {
+            board.arm();
+        }
+        let replies = board.send(&sample_message(0));
+        let excited = matches!(replies[..], [(_, BoardMessage::Excited(_))]);
+        assert_eq!(excited, !disarmed, "{replies:?}");
+    }
 }
