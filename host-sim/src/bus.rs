@@ -10,11 +10,12 @@ use foretorque::arm::Arm;
 use foretorque_link::bus::{BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Frame, Protocol};
 use foretorque_workbench::bus::{
-    Ask, BusChoice, BusError, Network, Profile, WiredNetwork, discard_typed, real_time,
+    Ask, BusChoice, BusError, Network, Profile, WiredNetwork, discard_typed, spawn_loop,
 };
 use foretorque_workbench::files::write_whole;
 use foretorque_workbench::robot::Robot;
 use std::io::{self, BufRead};
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -123,12 +124,29 @@ fn undetermined(joint: usize, reason: &str) -> String {
     format!("joint {joint}: sign and scale of torque are not determined: {reason}")
 }
 
-/// The adapters of an arm, in a thread with real time priority where the system permits it; a note where it does not.
+/// Result of the loop around the drives `bus`, which runs in a thread of its own, while `meanwhile` runs in this one.
+pub(super) fn in_loop<T: Send>(
+    bus: &BusChoice,
+    work: impl FnOnce() -> Result<T, Failure> + Send,
+    meanwhile: impl FnOnce() -> Result<(), Failure>,
+) -> Result<T, Failure> {
+    std::thread::scope(|scope| {
+        let work = |problem: Option<String>| {
+            if let Some(reason) = problem {
+                show!("no priority of real time ({reason}): the ticks may come late")?;
+            }
+            work()
+        };
+        let running = spawn_loop(scope, !bus.is_simulated(), work);
+        let done = meanwhile();
+        let result = running.join().unwrap_or_else(|panic| resume_unwind(panic));
+        done.and(result)
+    })
+}
+
+/// The adapters of an arm.
 pub(super) fn wired(bus: &BusChoice, profile: &Profile) -> Result<WiredNetwork, Failure> {
     let lines = bus.open(&profile.bus)?;
-    if let Err(reason) = real_time() {
-        show!("no priority of real time ({reason}): the ticks may come late")?;
-    }
     Ok(WiredNetwork::new(lines, 1.0 / profile.rate_hz))
 }
 

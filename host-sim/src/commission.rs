@@ -1,6 +1,6 @@
 use super::arm::{ArmOptions, with_rotors};
 use super::boards::on_arm;
-use super::bus::{Attended, prompt, wired};
+use super::bus::{Attended, in_loop, prompt, wired};
 use super::disturbances::triple;
 use super::terminal::show;
 use super::{
@@ -199,12 +199,17 @@ impl Arguments {
         } else {
             Box::new(wired(&self.bus, profile)?)
         };
-        let network = Attended::new(network, self.bus.is_simulated());
-        let player = BusPlayer::<A, _, N, P>::new(config, &Parameters::nominal::<A>(), network)?;
-        let mut arm = Commissioning::new(player, model, rest);
         let friction = robot.each(|joint| joint.friction.coulomb);
-        arm.friction_nm = friction.map(Joints::from).ok_or_else(other_size)?;
-        self.steps(arm, wanted)
+        let friction = friction.map(Joints::from).ok_or_else(other_size)?;
+        let work = || {
+            let network = Attended::new(network, self.bus.is_simulated());
+            let parameters = Parameters::nominal::<A>();
+            let player = BusPlayer::<A, _, N, P>::new(config, &parameters, network)?;
+            let mut arm = Commissioning::new(player, model, rest);
+            arm.friction_nm = friction;
+            self.steps(arm, wanted)
+        };
+        in_loop(&self.bus, work, || Ok(()))
     }
 
     /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.

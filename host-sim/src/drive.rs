@@ -1,6 +1,6 @@
 use super::arm::{ArmOptions, with_rotors};
 use super::boards::on_arm;
-use super::bus::{Attended, wired};
+use super::bus::{Attended, in_loop, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, show};
@@ -22,7 +22,9 @@ use foretorque_workbench::report::write_json;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory::Trajectory;
 use serde::Serialize;
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
 
 /// Standard deviation of the torque that a simulated drive reports, as a share of the joint's limit.
 const REPORT_NOISE: f64 = 0.01;
@@ -100,7 +102,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 impl Arguments {
-    fn on<A: Arm<N, P>, const N: usize, const P: usize>(
+    fn on<A: Arm<N, P> + Send, const N: usize, const P: usize>(
         &self,
         profile: &Profile,
         robot: &Robot,
@@ -116,7 +118,7 @@ impl Arguments {
         }
         let mut alone = None;
         if !self.alone {
-            let played = drive.tracking(Box::new(drive.simulated()?), true, &mut |_| Ok(()))?;
+            let played = drive.tracking(Box::new(drive.simulated()?), true, &mut |_| true)?;
             alone = played.rms_mrad().filter(|_| played.ended.is_none());
             if let Some(reason) = played.ended {
                 show!("PD of the drives alone: {reason}")?;
@@ -139,7 +141,7 @@ struct Drive<'a, A: Arm<N, P>, const N: usize, const P: usize> {
     end_s: f64,
     stop_s: f64,
     ticks: usize,
-    arm: std::marker::PhantomData<A>,
+    arm: PhantomData<fn() -> A>,
 }
 
 /// Speed at the begin of a path that a drive from rest takes, rad/s.
@@ -148,7 +150,7 @@ const MOVES_RAD_S: f64 = 0.02;
 const STOP_S: f64 = 0.3;
 /// Time before the end of a path at which its last motion is taken, s.
 const LAST_S: f64 = 1e-6;
-/// Share of the ticks with a cut torque that is no trouble.
+/// Share of the ticks with a cut torque, and of the time that late ticks leave out, that is no trouble.
 const TOLERATED: f64 = 0.05;
 
 /// Place on a path at `t_s`, s, its rate, and the rate's change, 1/s, where the path slows down to its end at `end_s`, s, in
@@ -176,6 +178,8 @@ struct Played<A: Arm<N, P>, const N: usize, const P: usize> {
     counted: usize,
     /// Ticks in which a torque was cut to its limit, and in which what was learnt was.
     cut: [usize; 2],
+    /// Time of the periods that were left out on the path, s.
+    left_out_s: f64,
     ended: Option<String>,
 }
 
@@ -186,7 +190,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Played<A, N, P> {
     }
 }
 
-impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
+impl<'a, A: Arm<N, P> + Send, const N: usize, const P: usize> Drive<'a, A, N, P> {
     fn new(
         arguments: &'a Arguments,
         profile: &'a Profile,
@@ -235,7 +239,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             end_s,
             stop_s,
             ticks: ((end_s + 0.5 * stop_s) / period_s).round() as usize,
-            arm: std::marker::PhantomData,
+            arm: PhantomData,
         })
     }
 
@@ -280,7 +284,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         &self,
         network: Box<dyn Network>,
         alone: bool,
-        log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
+        log: &mut dyn FnMut(TickRecord<N>) -> bool,
     ) -> Result<Played<A, N, P>, Failure> {
         let mut parameters = self.parameters;
         if alone {
@@ -296,6 +300,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             squares: 0.0,
             counted: 0,
             cut: [0; 2],
+            left_out_s: 0.0,
             ended: None,
         };
         let followed = self.follow(&mut played, alone, log);
@@ -309,7 +314,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         &self,
         played: &mut Played<A, N, P>,
         alone: bool,
-        log: &mut dyn FnMut(&TickRecord<N>) -> Result<(), Failure>,
+        log: &mut dyn FnMut(TickRecord<N>) -> bool,
     ) -> Result<(), Failure> {
         let player = &mut played.player;
         player.approach(&self.path.at(0.0).q)?;
@@ -319,7 +324,6 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
         let lead_s = self.profile.lead_s();
         // A measurement was taken when the command of the period before arrived.
         let age_s = 1.5 * period_s - lead_s;
-        let bar = Bar::new();
         let mut feed_forward = JointVector::zeros();
         let left_out_s = player.left_out_s();
         for tick in 0..self.ticks {
@@ -328,6 +332,7 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             let result = player.tick(Some(&motion))?;
             player.check()?;
             played.ticks += 1;
+            played.left_out_s = player.left_out_s() - left_out_s;
             for (count, flag) in
                 (played.cut.iter_mut()).zip([Flags::SATURATED, Flags::LEARNED_CLIPPED])
             {
@@ -343,8 +348,8 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
                     played.squares += (measured.q - desired.q).norm_squared();
                     played.counted += 1;
                 }
-                log(&TickRecord {
-                    t_s: t_s + player.left_out_s() - left_out_s,
+                let logged = log(TickRecord {
+                    t_s: t_s + played.left_out_s,
                     desired,
                     q: measured.q,
                     measured,
@@ -355,12 +360,12 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
                     shares: None,
                     flags: result.torque.flags.0,
                     stage: None,
-                })?;
+                });
+                if !logged {
+                    bail!("the log cannot be written");
+                }
             }
             feed_forward = result.torque.total;
-            if tick % 256 == 0 {
-                bar.show("drive", tick, self.ticks);
-            }
         }
         Ok(())
     }
@@ -368,9 +373,24 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
     fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
         let out = &self.arguments.out;
         let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
-        let played = self.tracking(network, self.arguments.alone, &mut |record| {
-            Ok(log.add(record)?)
-        })?;
+        let (sender, records) = mpsc::channel();
+        let work = || {
+            let mut send = |record| sender.send(record).is_ok();
+            let played = self.tracking(network, self.arguments.alone, &mut send);
+            drop(sender);
+            played
+        };
+        let write = || {
+            let bar = Bar::new();
+            for (tick, record) in records.into_iter().enumerate() {
+                log.add(&record)?;
+                if tick % 256 == 0 {
+                    bar.show("drive", tick, self.ticks);
+                }
+            }
+            Ok(())
+        };
+        let played = in_loop(&self.arguments.bus, work, write)?;
         log.finish()?;
         let controller = &played.player.controller;
         if self.arguments.alone {
@@ -428,6 +448,13 @@ impl<'a, A: Arm<N, P>, const N: usize, const P: usize> Drive<'a, A, N, P> {
             bail!(
                 "a torque was at its limit for {:.0} % of the path: a slower path, or limits of the profile",
                 100.0 * cut
+            );
+        }
+        let late = played.left_out_s * rate_hz / ticks.max(1) as f64;
+        if late > TOLERATED {
+            bail!(
+                "periods were left out for {:.0} % of the path, as their ticks came too late: a lower rate_hz, or a system that gives priority of real time",
+                100.0 * late
             );
         }
         Ok(())

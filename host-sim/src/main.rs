@@ -278,13 +278,14 @@ mod tests {
         program().debug_assert();
     }
 
-    /// README.md and the pages of docs/.
+    /// README.md, CONTRIBUTING.md and the pages of docs/.
     fn pages() -> Vec<PathBuf> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let docs = fs::read_dir(root.join("docs")).expect("it is there");
         let docs = docs.map(|entry| entry.expect("it is there").path());
         let docs = docs.filter(|path| path.extension().is_some_and(|end| end == "md"));
-        docs.chain([root.join("README.md")]).collect()
+        docs.chain(["README.md", "CONTRIBUTING.md"].map(|page| root.join(page)))
+            .collect()
     }
 
     /// Code of a page: lines between fences, and text between two backticks, also across a line end.

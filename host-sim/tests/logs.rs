@@ -75,17 +75,16 @@ fn a_run_is_written_as_mcap_with_every_tick_and_the_numbers_of_the_csv() {
         shown.replace(&format!("log.{log}"), "log")
     };
     assert_eq!(check("csv"), check("mcap"));
-    let python = |arguments: &[&str]| {
-        let mut python = Command::new("python3");
-        let output = python.args(arguments).current_dir(&*here).output();
-        output.ok().filter(|output| output.status.success())
-    };
-    if python(&["-c", "import mcap"]).is_none() {
+    let Some(python) = crate::python::with("mcap") else {
         return;
-    }
+    };
     for (table, expected) in [("out/log", "3000 "), ("out/telemetry", "2999 ")] {
-        let output = python(&["-c", OUTSIDE, table]).expect("the tables agree");
-        let shown = String::from_utf8_lossy(&output.stdout).into_owned();
+        let mut read = Command::new(&python);
+        let output = read
+            .args(["-c", OUTSIDE, table])
+            .current_dir(&*here)
+            .output();
+        let shown = String::from_utf8_lossy(&output.expect("it starts").stdout).into_owned();
         assert!(shown.starts_with(expected), "{table}: {shown}");
     }
 }

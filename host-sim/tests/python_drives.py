@@ -1,6 +1,9 @@
 import struct, sys, time
 import can
-bus = [can.Bus(interface="udp_multicast", channel=f"239.74.163.{n}", port=43160 + n - 70) for n in (71, 72)]
+try:
+    bus = [can.Bus(interface="udp_multicast", channel=f"239.74.163.{n}", port=43160 + n - 70) for n in (71, 72)]
+except (can.CanError, OSError) as error:
+    sys.exit(print("no multicast on this machine:", str(error).splitlines()[0], flush=True))
 on, q, ranges = {}, {}, lambda i: (40.0, 45.0, 54.0) if i <= 3 else (20.0, 30.0, 10.0)
 code = lambda x, m, n: max(0, min(n, round((x + m) * n / (2 * m))))
 print("ready", flush=True)

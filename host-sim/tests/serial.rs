@@ -119,23 +119,16 @@ fn interpreted(python: &str) -> Command {
     command
 }
 
-/// The client in C, where there is a compiler.
-fn compiled(here: &Path) -> Option<PathBuf> {
+/// The client in C.
+fn compiled(here: &Path) -> PathBuf {
     let program = here.join("client");
     let mut compiler = Command::new("cc");
     compiler.args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-o"]);
     compiler.arg(&program).arg(client("foretorque.c"));
-    match compiler.arg("-lm").output() {
-        Err(error) => {
-            println!("skipped: cc: {error}");
-            None
-        }
-        Ok(done) => {
-            let stderr = String::from_utf8_lossy(&done.stderr);
-            assert!(done.status.success(), "{stderr}");
-            Some(program)
-        }
-    }
+    let done = compiler.arg("-lm").output().expect("cc");
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{stderr}");
+    program
 }
 
 /// A board that keeps the bytes it received.
@@ -201,10 +194,9 @@ fn clients_refuse_mistakes_before_they_arm() {
         let cases = "--seconds 0 | --seconds -1 | --seconds nan | --period-s 0 | --start 0,0,0 | --start 0,0,0,0,0,0,0 | --start a,b";
         refuses(&|| interpreted(&python), cases);
     }
-    if let Some(program) = compiled(&here) {
-        let cases = "0 | -1 | nan | 1 log.csv 0,0,0,0,0,0,0,0,0 | 1 log.csv 0,0,0 | 1 log.csv 0,0,0,0,0,0,0 | 1 log.csv a,b";
-        refuses(&|| Command::new(&program), cases);
-    }
+    let program = compiled(&here);
+    let cases = "0 | -1 | nan | 1 log.csv 0,0,0,0,0,0,0,0,0 | 1 log.csv 0,0,0 | 1 log.csv 0,0,0,0,0,0,0 | 1 log.csv a,b";
+    refuses(&|| Command::new(&program), cases);
     assert!(here.files(".").iter().all(|name| name == "client"));
 }
 
@@ -342,14 +334,13 @@ fn python_and_c_drive_a_board_and_get_the_same_torques() {
             command
         }));
     }
-    if let Some(program) = compiled(&here) {
-        let log = here.join("c.csv");
-        logs.push(driven(&log, |port| {
-            let mut command = Command::new(&program);
-            command.args([port, "1"]).arg(&log).arg(START);
-            command
-        }));
-    }
+    let program = compiled(&here);
+    let log = here.join("c.csv");
+    logs.push(driven(&log, |port| {
+        let mut command = Command::new(&program);
+        command.args([port, "1"]).arg(&log).arg(START);
+        command
+    }));
     for rows in &logs {
         torques_are_those_of_the_description(rows);
     }

@@ -1,4 +1,4 @@
-//! Targets of README.md and of the pages of docs/ exist: files, headings, tests.
+//! Targets of README.md, CHANGELOG.md, CONTRIBUTING.md and of the pages of docs/ exist: files, headings, tests.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ fn pages() -> Vec<(PathBuf, String)> {
         (path, text)
     };
     docs.filter(|path| path.extension().is_some_and(|end| end == "md"))
-        .chain(["README.md", "CHANGELOG.md"].map(|name| root().join(name)))
+        .chain(["README.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(|name| root().join(name)))
         .map(read)
         .collect()
 }

@@ -250,7 +250,7 @@ mod tests {
         let docs = fs::read_dir(root.join("docs")).unwrap();
         let pages = docs.map(|entry| entry.unwrap().path());
         let mut seen = 0;
-        for path in pages.chain([root.join("README.md")]) {
+        for path in pages.chain(["README.md", "CONTRIBUTING.md"].map(|page| root.join(page))) {
             let Ok(page) = fs::read_to_string(&path) else {
                 continue; // A picture.
             };

@@ -55,11 +55,11 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     // Linking an image takes one core: the other one has the crates outside and the docs.
     outcomes.extend(side_by_side([images(tools), public(tools)]));
     // After the builds, because the tests run the board's ELF files.
-    let mut counts = Counts::default();
+    let (mut counts, mut skips) = (Counts::default(), Vec::new());
     outcomes.push(pass("tests", || {
-        let (seen, ended_well) =
+        let (seen, ended_well, skipped) =
             count_tests(&mut command("cargo test --workspace --no-fail-fast"))?;
-        counts = attribute(seen, ended_well);
+        (counts, skips) = (attribute(seen, ended_well), skipped);
         if !ended_well {
             bail!("`cargo test` failed");
         }
@@ -74,7 +74,10 @@ pub(crate) fn run(forced: Option<Way>) -> Result<()> {
     let seconds = start.elapsed().as_secs_f64();
     println!("{:<16} {:<7} {seconds:>8.1}\n", "all", "");
     let Counts { passed, failed } = counts;
-    println!("{passed} passed, {failed} failed");
+    println!("{passed} passed, {failed} failed, {} not run", skips.len());
+    for skip in skips {
+        println!("  {skip}");
+    }
     let failed = outcomes.iter().filter(|outcome| !outcome.passed);
     let failed: Vec<_> = failed.map(|outcome| outcome.name).collect();
     if !failed.is_empty() {
@@ -173,8 +176,9 @@ fn pass(name: &'static str, gate: impl FnOnce() -> Result<()>) -> Outcome {
     }
 }
 
-/// Runs `cargo test` with its output shown; returns the sum of its result lines, and whether it ended well.
-fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
+/// Runs `cargo test` with its output shown; returns the sum of its result lines, whether it ended well, and the lines of tests
+/// that this machine cannot run.
+fn count_tests(cargo: &mut Command) -> Result<(Counts, bool, Vec<String>)> {
     let mut child = cargo
         .stdout(Stdio::piped())
         .spawn()
@@ -183,14 +187,16 @@ fn count_tests(cargo: &mut Command) -> Result<(Counts, bool)> {
         .stdout
         .take()
         .context("cargo has no standard output")?;
-    let mut seen = Counts::default();
+    let (mut seen, mut skips) = (Counts::default(), Vec::new());
     for bytes in BufReader::new(pipe).split(b'\n') {
         let bytes = bytes?;
         let text = String::from_utf8_lossy(&bytes);
         println!("{text}");
         seen = seen.plus(parse_result(&text).unwrap_or_default());
+        // Beside the name of another test, where several run at once.
+        skips.extend(text.find("skipped: ").map(|place| text[place..].to_owned()));
     }
-    Ok((seen, child.wait()?.success()))
+    Ok((seen, child.wait()?.success(), skips))
 }
 
 /// The counts of one line such as `test result: ok. 3 passed; 0 failed; 1 ignored; …`.

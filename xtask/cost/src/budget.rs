@@ -161,7 +161,7 @@ impl Budget {
         let explained = |line: &Line| {
             let goal = measured.iter().find(|m| m.quantity == line.quantity);
             let raise = self.raise(&line.quantity);
-            let raised = raise.is_some_and(|raise| raise.new >= line.limit);
+            let raised = raise.is_some_and(|raise| raise.new == line.limit);
             line.limit <= fresh(line.value)
                 || raised
                 || goal.is_some_and(|goal| goal.allowed == Some(line.limit))

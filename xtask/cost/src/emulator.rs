@@ -24,8 +24,9 @@ pub(crate) struct Counts {
     pub(crate) calls: Vec<u32>,
 }
 
-/// Counts the instructions of `calls` calls of every row and of the long run, exactly and the same in every run.
-pub(crate) fn count(elf: &Path, calls: u32) -> Result<(Vec<Counts>, Spread)> {
+/// Counts the instructions of `calls` calls of every row, and of the ticks and the learning steps of the long run, exactly and
+/// the same in every run.
+pub(crate) fn count(elf: &Path, calls: u32) -> Result<(Vec<Counts>, [Spread; 2])> {
     let mut command = machine(elf, calls, TICKS);
     // One instruction is one nanosecond of virtual time, and TIM2 counts nanoseconds.
     command.args(["-icount", "shift=0,sleep=off"]);
@@ -33,9 +34,16 @@ pub(crate) fn count(elf: &Path, calls: u32) -> Result<(Vec<Counts>, Spread)> {
     let output = output.context(NOT_STARTED)?;
     succeeded(output.status)?;
     let text = String::from_utf8(output.stdout)?;
-    let lines = text.trim_end().rsplit_once('\n');
-    let (rows, long_run) = lines.context("the bench program printed nothing")?;
-    Ok((read_counts(rows)?, Spread::read(long_run, TICKS)?))
+    let (mut rows, mut long_run) = (text.trim_end(), Vec::new());
+    for _ in 0..2 {
+        let (before, last) = rows
+            .rsplit_once('\n')
+            .context("the bench program printed nothing")?;
+        long_run.push(Spread::read(last, TICKS)?);
+        rows = before;
+    }
+    let spreads = long_run.try_into().ok().context("no long run")?;
+    Ok((read_counts(rows)?, spreads))
 }
 
 /// Traces `calls` calls of each of `rows`.
@@ -48,7 +56,9 @@ pub(crate) fn trace(
     let names: Vec<_> = rows.iter().map(|row| row.name.as_str()).collect();
     let mut command = machine(elf, calls, 0);
     // One instruction a block, and every block through the loop that logs the processor.
-    command.args(["-singlestep", "-d", "cpu,nochain"]);
+    command
+        .args(one_instruction_a_block()?)
+        .args(["-d", "cpu,nochain"]);
     // The same pipe under a name: the emulator's own standard error is not buffered, five times slower.
     command.args(["-D", "/dev/stderr"]);
     command.stdout(Stdio::null()).stderr(Stdio::piped());
@@ -57,6 +67,28 @@ pub(crate) fn trace(
     let calls = trace::follow(BufReader::with_capacity(1 << 16, log), image, &names);
     succeeded(child.wait()?)?;
     calls
+}
+
+/// Options for blocks of one instruction: QEMU 8.1 renamed them, QEMU 9 has the new ones alone.
+fn one_instruction_a_block() -> Result<&'static [&'static str]> {
+    let version = Command::new("qemu-system-arm").arg("--version").output();
+    let version = String::from_utf8(version.context(NOT_STARTED)?.stdout)?;
+    Ok(match is_renamed(&version) {
+        true => &["-accel", "tcg,one-insn-per-tb=on"],
+        false => &["-singlestep"],
+    })
+}
+
+/// `QEMU emulator version 8.1.0 (…)` or newer.
+fn is_renamed(version: &str) -> bool {
+    let numbers = version
+        .split_once("version ")
+        .map(|(_, rest)| rest.split(['.', ' ']));
+    let mut numbers = numbers
+        .into_iter()
+        .flatten()
+        .map_while(|number| number.parse::<u32>().ok());
+    (numbers.next(), numbers.next()) >= (Some(8), Some(1))
 }
 
 fn machine(elf: &Path, calls: u32, ticks: u32) -> Command {
@@ -169,6 +201,13 @@ impl Spread {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_options_of_the_emulator_follow_its_version() {
+        let renamed = |version: &str| is_renamed(&format!("QEMU emulator version {version} (x)"));
+        assert_eq!(["7.2.22", "8.0.5", ""].map(renamed), [false; 3]);
+        assert_eq!(["8.1.0", "9.0.2", "10.1.50"].map(renamed), [true; 3]);
+    }
 
     #[test]
     fn calls_are_kept_by_row_and_in_order() {

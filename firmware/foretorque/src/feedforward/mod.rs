@@ -32,7 +32,8 @@ use core::marker::PhantomData;
 /// How the tick behaves; derived from the arm's limits and the period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardConfig<const N: usize> {
-    /// Limits of the joints; a desired motion outside them is cut to them, a torque too. Torques up to 3e36 N·m.
+    /// Limits of the joints; a desired motion outside them is cut to them, a torque too. Torques up to 3e36 N·m: whoever raises
+    /// them above those of the arm answers for that.
     pub limits: [JointLimits; N],
     /// Largest plausible desired acceleration, rad/s²; beyond it the motion is cut.
     pub acceleration_limit: f32,
@@ -56,7 +57,7 @@ const LEARNED_RATE: f32 = 10.0;
 impl<const N: usize> FeedForwardConfig<N> {
     /// Defaults for an arm: its data-sheet limits, the full torque in 20 ms, 10 ms of holding.
     ///
-    /// * `period_s` period of the tick, s
+    /// * `period_s` period of the tick, s, up to 20 ms; a longer one has no slew limit. The learner refuses more than 0.1 s
     pub fn for_arm<A: Arm<N, P>, const P: usize>(period_s: f32) -> Self {
         let torques = A::limits().map(|limits| limits.torque);
         Self {
@@ -70,12 +71,16 @@ impl<const N: usize> FeedForwardConfig<N> {
         }
     }
 
-    /// Lower the torque limit of `joint` to `torque`, N·m, with the bounds of payload and learnt change that follow from it.
+    /// Lower the torque limit of `joint`, counted from 0, to `torque`, N·m, with the bounds of payload and learnt change that
+    /// follow from it. A higher limit, or a joint that the arm has not, changes nothing.
     pub fn limit_torque(&mut self, joint: usize, torque: f32) {
-        let limit = &mut self.limits[joint].torque;
-        self.learned_slew_per_tick[joint] *= torque / *limit;
+        let limits = self.limits.get_mut(joint);
+        let Some(limits) = limits.filter(|limits| torque < limits.torque) else {
+            return;
+        };
+        self.learned_slew_per_tick[joint] *= torque / limits.torque;
         self.payload_bound[joint] = self.payload_bound[joint].min(PAYLOAD_PART * torque);
-        *limit = torque;
+        limits.torque = torque;
     }
 
     /// Every field is usable.

@@ -1,19 +1,29 @@
 use crate::joint::{JointMeasurement, JointMotion, JointVector, zero_vector};
 
-/// Length of the motion filter, samples; a sample is the mean of [`LearnerConfig::decimation`] ticks.
+/// Largest length of the motion filter, samples; a sample is the mean of [`LearnerConfig::decimation`] ticks.
 ///
 /// [`LearnerConfig::decimation`]: crate::learning::LearnerConfig::decimation
 pub const TAPS: usize = 31;
-/// Delay of the motion filter, samples: its output describes the middle of the window.
+/// Largest delay of the motion filter, samples: its output describes the middle of the window.
 pub const DELAY: usize = TAPS / 2;
+/// Least delay of the motion filter, samples: as far as the mean of the torques reaches.
+pub(super) const LEAST_DELAY: u32 = AVERAGED as u32 / 2;
 
-// Sums over the window k = −DELAY … DELAY that the quadratic fit needs: Σ1, Σk², Σk⁴.
-const SUM_0: f32 = TAPS as f32;
-const SUM_2: f32 = (DELAY * (DELAY + 1) * TAPS / 3) as f32;
-const SUM_4: f32 =
-    (DELAY * (DELAY + 1) * TAPS / 3 * (3 * DELAY * DELAY + 3 * DELAY - 1) / 5) as f32;
-const INV_SUM_2: f32 = 1.0 / SUM_2;
-const INV_CURVATURE: f32 = 1.0 / (SUM_4 - SUM_2 * SUM_2 / SUM_0);
+/// Length of a motion filter with this delay, samples.
+pub(super) const fn taps(delay: u32) -> u32 {
+    2 * delay + 1
+}
+
+/// Factors of the quadratic fit from the sums over its window k = −d … d: Σk², 1/Σ1, Σk²/Σ1, 1/Σk², 1/(Σk⁴ − (Σk²)²/Σ1).
+fn fit_factors(delay: u32) -> [f32; 5] {
+    let d = delay;
+    let square = d * (d + 1) * taps(d) / 3;
+    let fourth = square * (3 * d * d + 3 * d - 1) / 5;
+    let [sum_0, sum_2, sum_4] = [taps(d), square, fourth].map(|sum| sum as f32);
+    let mean = sum_2 / sum_0;
+    let curvature = sum_4 - sum_2 * sum_2 / sum_0;
+    [sum_2, 1.0 / sum_0, mean, 1.0 / sum_2, 1.0 / curvature]
+}
 
 /// Square of the first zero of j₂: beyond it, the filter removes cogging from the acceleration.
 const ATTENUATION_END: f32 = 33.2;
@@ -30,7 +40,7 @@ pub(super) const AVERAGED: usize = 5;
 /// Torques stored, so that they are delayed as much as the motion.
 const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 
-/// Motion and torque of the same instant, `DELAY` samples ago.
+/// Motion and torque of the same instant, the delay of the filter ago.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConditionedSample<const N: usize> {
     /// Position, velocity and acceleration of the fitted quadratic.
@@ -39,7 +49,7 @@ pub struct ConditionedSample<const N: usize> {
     pub tau: JointVector<N>,
 }
 
-/// Motion filter: the last `TAPS` samples, each the mean of `decimation` ticks.
+/// Motion filter: the last 2 `delay` + 1 samples, each the mean of `decimation` ticks.
 ///
 /// Its length is a time, not a number of ticks: arms with elastic gears are rigid bodies at some Hz only.
 /// Motion and torque are averaged alike, so both belong to the same instant.
@@ -62,6 +72,8 @@ pub struct MeasurementWindow<const N: usize> {
     /// Ticks of a sample, and those in the sample in progress.
     decimation: u32,
     ticks: u32,
+    /// Samples from the middle of the window to its ends.
+    delay: u32,
     /// Ticks since the newest sample was complete.
     since_sample: usize,
     /// Sum over the sample in progress.
@@ -82,8 +94,11 @@ pub struct MeasurementWindow<const N: usize> {
 const RECENT: usize = 8;
 
 impl<const N: usize> MeasurementWindow<N> {
-    /// Empty window of samples of `decimation` ticks, from 1 on.
-    pub const fn new(decimation: u32) -> Self {
+    /// Empty window.
+    ///
+    /// * `decimation` ticks of a sample, from 1 on
+    /// * `delay` samples from the middle of the window to its ends, 2 to [`DELAY`]
+    pub const fn new(decimation: u32, delay: u32) -> Self {
         Self {
             q: [[0.0; 2 * TAPS]; N],
             tau: [zero_vector(); TORQUES],
@@ -92,6 +107,7 @@ impl<const N: usize> MeasurementWindow<N> {
             torque_next: 0,
             decimation,
             ticks: 0,
+            delay,
             since_sample: 0,
             sum: JointMeasurement::zero(),
             last: JointMeasurement::zero(),
@@ -115,7 +131,7 @@ impl<const N: usize> MeasurementWindow<N> {
 
     /// True if every tick is measured or bridged; a gap at the end may still be open.
     pub fn is_full(&self) -> bool {
-        self.filled == TAPS
+        self.filled >= taps(self.delay) as usize
     }
 
     /// True if the joints can be at `q` in the next tick: an encoder error is not.
@@ -226,12 +242,12 @@ impl<const N: usize> MeasurementWindow<N> {
         self.tau[self.torque_next % TORQUES] = sum.tau * part;
         self.torque_next = (self.torque_next + 1) % TORQUES;
         self.filled = (self.filled + 1).min(TAPS);
-        if self.filled == TAPS && core::mem::take(&mut self.refill) {
-            self.filled = RECENT + 1;
+        if self.is_full() && core::mem::take(&mut self.refill) {
+            self.filled = self.filled.min(RECENT + 1);
         }
     }
 
-    /// Motion and torque `DELAY` samples ago; `None` before the window is full, and where a gap repeats a sample for a joint.
+    /// Motion and torque of the middle of the window; `None` before the window is full, and where a gap repeats a sample for a joint.
     ///
     /// Least-squares quadratic through the window, at its middle, with `k` in samples of length T and `y_k = q_k − q_0`:
     /// ```text
@@ -242,47 +258,47 @@ impl<const N: usize> MeasurementWindow<N> {
     ///
     /// * `inv_period` ticks per second, 1/s      * returns rad, rad/s, rad/s², N·m
     ///
-    /// Cost: `5 · DELAY` multiply-adds a joint.
+    /// Cost: 5 multiply-adds a joint for each sample of the delay.
     #[inline(never)]
     pub fn conditioned(&self, inv_period: f32) -> Option<ConditionedSample<N>> {
         // No joint uses a sample twice: the newest one ended after the last turn of this joint.
         let fresh = self.since_sample < N;
-        if self.filled < TAPS || !fresh {
+        if !self.is_full() || !fresh {
             return None;
         }
         let inv_period = inv_period / self.decimation as f32;
+        let (delay, factors) = (self.delay as usize, fit_factors(self.delay));
+        // After a push `next` is the slot of the oldest of all samples, and those of the window are the newest.
+        let begin = (self.next + TAPS).checked_sub(2 * delay + 1)?;
         let mut motion = JointMotion::<N>::zero();
         for (joint, q) in self.q.iter().enumerate() {
-            // After a push `next` is the slot of the oldest measurement.
-            let window: &[f32; TAPS] = q.get(self.next..)?.first_chunk()?;
-            let (position, slope, curvature) = fit(window);
+            let (position, slope, curvature) = fit(q.get(begin..)?, delay, &factors)?;
             *motion.q.get_mut(joint)? = position;
             *motion.qd.get_mut(joint)? = slope * inv_period;
             *motion.qdd.get_mut(joint)? = curvature * inv_period * inv_period;
         }
-        // After a push `torque_next` is the slot of the oldest torque, `AVERAGED / 2` before the middle of the window.
-        let reach = ((AVERAGED / 2) as u32).checked_div(self.decimation);
+        // After a push `torque_next` is the slot of the oldest torque.
+        let middle = self.torque_next + TORQUES - 1 - delay;
+        let reach = (AVERAGED / 2).checked_div(self.decimation as usize);
         let reach = reach.unwrap_or_default();
         let mut tau = JointVector::zeros();
-        for age in 0..AVERAGED {
-            if (age as u32).abs_diff((AVERAGED / 2) as u32) <= reach {
-                tau += self.tau[(self.torque_next + age) % TORQUES];
-            }
+        for place in middle.saturating_sub(reach)..=middle + reach {
+            tau += self.tau[place % TORQUES];
         }
         tau *= 1.0 / (2 * reach + 1) as f32;
         Some(ConditionedSample { motion, tau })
     }
 }
 
-/// Gain of the motion filter for cogging in the acceleration, at a cogging phase of `angle` rad a sample.
+/// Gain of a motion filter of `taps` samples for cogging in the acceleration, at a cogging phase of `angle` rad a sample.
 ///
 /// ```text
-/// 15 j₂(x)/x² = 1 − x²/14 (1 − x²/36 (1 − x²/66 (1 − x²/104 (1 − x²/150 …)))),   x = angle · TAPS/2
+/// 15 j₂(x)/x² = 1 − x²/14 (1 − x²/36 (1 − x²/66 (1 − x²/104 (1 − x²/150 …)))),   x = angle · taps/2
 /// ```
 /// Second derivative of the quadratic fitted to a sine over ±x, over that of the sine; j₂ is the spherical Bessel
 /// function, zero at 5.763. The gain of the 31 taps lies within 0.01 of it. It is 0 beyond that zero, 30 Hz with samples of 2 ms.
-pub fn cogging_attenuation(angle: f32) -> f32 {
-    let half = angle * (0.5 * TAPS as f32);
+pub fn cogging_attenuation(angle: f32, taps: u32) -> f32 {
+    let half = angle * (0.5 * taps as f32);
     let y = half * half;
     if y < ATTENUATION_END {
         let tail = 1.0 - y * (1.0 / 104.0) * (1.0 - y * (1.0 / 150.0));
@@ -303,15 +319,18 @@ const DISTANCES: [[f32; 2]; DELAY] = {
     distances
 };
 
-/// Value, first and second derivative (per tick) of the quadratic through `window`, at its middle.
+/// Value, first and second derivative (per tick) of the quadratic through the first 2 `delay` + 1 of `samples`, at their middle.
+///
+/// * `factors` of this delay
 #[inline]
-fn fit(window: &[f32; TAPS]) -> (f32, f32, f32) {
-    let centre = window[DELAY];
+fn fit(samples: &[f32], delay: usize, factors: &[f32; 5]) -> Option<(f32, f32, f32)> {
+    let (before, rest) = samples.split_at_checked(delay)?;
+    let (centre, after) = rest.split_first()?;
     let mut sum = 0.0;
     let mut first_moment = 0.0;
     let mut second_moment = 0.0;
     // Pairs at the same distance from the middle: their sum enters the even sums, their difference the odd one.
-    let sides = window[..DELAY].iter().rev().zip(&window[DELAY + 1..]);
+    let sides = before.iter().rev().zip(after);
     for ((before, after), [distance, square]) in sides.zip(&DISTANCES) {
         let (after, before) = (after - centre, before - centre);
         let even = after + before;
@@ -319,9 +338,10 @@ fn fit(window: &[f32; TAPS]) -> (f32, f32, f32) {
         first_moment += distance * (after - before);
         second_moment += square * even;
     }
-    let half_curvature = (second_moment - SUM_2 / SUM_0 * sum) * INV_CURVATURE;
-    let position = centre + (sum - SUM_2 * half_curvature) * (1.0 / SUM_0);
-    (position, first_moment * INV_SUM_2, 2.0 * half_curvature)
+    let [sum_2, inv_sum_0, mean, inv_sum_2, inv_curvature] = *factors;
+    let half_curvature = (second_moment - mean * sum) * inv_curvature;
+    let position = centre + (sum - sum_2 * half_curvature) * inv_sum_0;
+    Some((position, first_moment * inv_sum_2, 2.0 * half_curvature))
 }
 
 fn is_finite<const N: usize>(measured: &JointMeasurement<N>) -> bool {

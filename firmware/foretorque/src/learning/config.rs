@@ -1,4 +1,4 @@
-use super::conditioning::TAPS;
+use super::conditioning::{DELAY, LEAST_DELAY, TAPS, taps};
 use super::parameters::LinearParameters;
 use super::prior_covariance::rigid_sigma;
 use super::supervisor::config::SupervisorConfig;
@@ -11,8 +11,15 @@ use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
 /// 17 hours.
 const FRICTION_CHANGE_S: f32 = 6e4;
 
-/// Length of a sample of the motion filter, s.
+/// Ticks per second of a learner, 1/s.
+const RATES: core::ops::RangeInclusive<f32> = 10.0..=1e5;
+/// Length of a sample of the motion filter, s, and the largest: an arm of 8 joints has it at 1 kHz. Longer filters
+/// flatten its motion.
 const SAMPLE_S: f32 = 2e-3;
+const LONGEST_SAMPLE_S: f32 = 8e-3;
+/// Time over which disturbances of rows are correlated: rows of 6 joints at 1 kHz have at least three times the noise of
+/// independent ones on real arms.
+const ROWS_CORRELATED_S: f32 = 6e-3;
 /// Fastest change of the torque of any joint by newly published sets, torque limits a second: learnt torque, at most a fifth of
 /// the limit, leaves within 0.24 s.
 const TORQUE_RATE: f32 = 5.0 / 6.0;
@@ -32,13 +39,15 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     /// Bound of an innovation, standard deviations; larger ones count as this many, and leave the covariance as it is.
     pub outlier_sigmas: f32,
     /// Factor on the noise of a row in the update of the estimate, because rows are correlated: the least of real arms with
-    /// 6 joints. The measured correlation is no measure of it: errors of the estimate are correlated, too. They would
+    /// 6 joints, 3, and more for rows that follow one another sooner. The measured correlation is no measure of it: errors of the estimate are correlated, too. They would
     /// count as noise where the prior is too narrow, slow the estimate down, and so last.
     pub noise_inflation: f32,
-    /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long; longer ones for
-    /// an encoder with less than four steps in that time at 0.05 rad/s. No more than there are joints, so that
-    /// no joint uses a sample twice.
+    /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long; up to 8 ms for
+    /// an encoder with less than four steps in that time at 0.05 rad/s.
     pub decimation: u32,
+    /// Delay of the motion filter, samples: 15, and 2 at least; fewer where a tick is longer than a sample, for the filter to
+    /// keep its length.
+    pub delay: u32,
     /// Time over which residuals are correlated at most, s: tenths of a second on real arms. Length of a block of rows that
     /// counts as one observation.
     pub correlation_s: f32,
@@ -68,6 +77,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         outlier_sigmas: 0.0,
         noise_inflation: 0.0,
         decimation: 0,
+        delay: 0,
         correlation_s: 0.0,
         process_noise: 0.0,
         torque_step: 0.0,
@@ -88,7 +98,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// Mass and inertia of a link: 20 % of the description; rotor: 20 %, and 5 % of the torque limit at 10 rad/s²; centre of
     /// mass: 5 % of its distance and 3 mm along each axis; friction: table of [`FrictionColumn`](crate::dynamics::FrictionColumn).
     ///
-    /// * `period_s` period of the tick, s
+    /// * `period_s` period of the tick, s; it validates from 10 µs to 0.1 s
     ///
     /// ```
     /// use foretorque::arm::ur5::{LearnerConfig, Ur5};
@@ -97,14 +107,17 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     /// ```
     pub fn for_arm<A: Arm<N, P>>(period_s: f32) -> Self {
         let supervisor = SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s);
-        let decimation = sample_ticks(period_s, A::encoder_step()).clamp(1, N as u32);
-        let filter_s = (TAPS as u32 * decimation) as f32 * period_s;
+        let (decimation, delay) = motion_filter(period_s, A::encoder_step());
+        let filter_s = taps(delay).saturating_mul(decimation) as f32 * period_s;
+        // Rows of a joint, not sooner than its samples.
+        let row_s = (N as u32).max(decimation) as f32 * period_s;
         Self {
             inv_period: 1.0 / period_s,
             noise: 0.01,
             outlier_sigmas: 3.0,
-            noise_inflation: 3.0,
+            noise_inflation: (1.0 + 2.0 * ROWS_CORRELATED_S / row_s).max(3.0),
             decimation,
+            delay,
             correlation_s: 0.5,
             process_noise: N as f32 * period_s / FRICTION_CHANGE_S,
             torque_step: TORQUE_RATE * N as f32 * period_s,
@@ -123,6 +136,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             },
             supervisor,
         }
+    }
+
+    /// Length of the motion filter, ticks.
+    pub(super) fn filter_ticks(&self) -> u32 {
+        taps(self.delay).saturating_mul(self.decimation)
     }
 
     /// Rows of a joint in the correlation time.
@@ -153,8 +171,12 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("clip_sigmas", self.network.clip_sigmas),
             ("memory_rows", self.network.memory_rows),
         ])?;
-        if self.decimation as usize > N {
-            return Err(ConfigError::TooLarge("decimation"));
+        // Milliseconds in the place of seconds, for one.
+        if !RATES.contains(&self.inv_period) {
+            return Err(ConfigError::TooLarge("inv_period"));
+        }
+        if !(LEAST_DELAY..=DELAY as u32).contains(&self.delay) {
+            return Err(ConfigError::TooLarge("delay"));
         }
         let [friction, rigid] = self.sigma.parts();
         for &sigma in rigid {
@@ -173,10 +195,18 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
     }
 }
 
-/// Ticks of a sample of the motion filter for an encoder of the step `encoder_step`, rad.
-fn sample_ticks(period_s: f32, encoder_step: f32) -> u32 {
+/// Ticks of a sample of the motion filter for an encoder of the step `encoder_step`, rad, and the delay of the filter,
+/// samples.
+fn motion_filter(period_s: f32, encoder_step: f32) -> (u32, u32) {
     let resolved_s = GATE_STEPS / (VELOCITY_GATE * TAPS as f32) * encoder_step;
-    (resolved_s.max(SAMPLE_S) / period_s + 0.5) as u32
+    let ticks = resolved_s.clamp(SAMPLE_S, LONGEST_SAMPLE_S) / period_s;
+    let whole = (ticks + 0.5) as u32;
+    // The delay of a filter as long as 31 samples of `ticks`, to the nearest whole number.
+    let delay = (0.5 * TAPS as f32 * ticks) as u32;
+    match whole {
+        0 | 1 => (1, delay.clamp(LEAST_DELAY, DELAY as u32)),
+        _ => (whole, DELAY as u32),
+    }
 }
 
 /// Least speed, rad/s, for an encoder of the step `encoder_step`, rad, and a motion filter of `filter_s`.
@@ -221,11 +251,24 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_encoder_makes_the_motion_filter_longer() {
-        let ticks =
-            |period_s, bits| sample_ticks(period_s, core::f32::consts::TAU / 2_f32.powi(bits));
-        assert_eq!([17, 13, 12, 11].map(|bits| ticks(1e-3, bits)), [2, 2, 4, 8]);
-        assert_eq!([17, 12].map(|bits| ticks(5e-4, bits)), [4, 8]);
-        assert_eq!(sample_ticks(1e-3, 0.0), 2);
+    fn the_motion_filter_is_a_time_and_longer_for_a_coarse_encoder() {
+        let step = |bits| core::f32::consts::TAU / 2_f32.powi(bits);
+        let samples = |period_s, bits| motion_filter(period_s, step(bits));
+        let ticks = |period_s, bits| samples(period_s, bits).0;
+        assert_eq!(
+            [17, 13, 12, 11, 8].map(|bits| ticks(1e-3, bits)),
+            [2, 2, 4, 8, 8]
+        );
+        assert_eq!([17, 12].map(|bits| ticks(1.25e-4, bits)), [16, 32]);
+        assert_eq!(motion_filter(1e-3, 0.0), (2, 15));
+        for (period_s, filter) in [
+            (2e-3, (1, 15)),
+            (4e-3, (1, 7)),
+            (10e-3, (1, 3)),
+            (20e-3, (1, 2)),
+        ] {
+            assert_eq!(samples(period_s, 17), filter, "{period_s} s");
+        }
+        assert_eq!(samples(4e-3, 12), (1, 15));
     }
 }

@@ -153,12 +153,18 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     /// Restart from `prior` with its deviations, in place.
     pub(super) fn reset(&mut self, prior: &ParameterSet<N, P>, start: &StartDeviations<N, P>) {
         self.move_to(&LinearParameters::of(prior));
-        self.filter.reset();
         self.variance = [FIRST_VARIANCE; N];
         self.effective_rows = [FIRST_ROWS; N];
         self.correlation = [NoiseCorrelation::new(); N];
         self.random_walk_turn = [0; N];
         self.start = *start;
+        self.reset_covariance();
+    }
+
+    /// Return to the prior covariance; rows wait until its factors are added.
+    #[inline(never)]
+    pub(super) fn reset_covariance(&mut self) {
+        self.filter.reset();
         self.factors_added = 0;
     }
 

@@ -41,9 +41,7 @@ pub use parameters::{
     StartDeviations, network_inputs,
 };
 pub(crate) use parameters::{network_inputs_at, network_output};
-pub use payload::{
-    MAX_COM_DISTANCE, PAYLOAD_PART, RATED_COM_DISTANCE, payload_bound, rated_payload,
-};
+pub use payload::{PAYLOAD_PART, RATED_COM_DISTANCE, payload_bound, rated_payload};
 pub use prior_covariance::{prior_factor, prior_factor_count, prior_floor};
 pub use quality::{ModelQuality, PayloadEstimate, Phase};
 pub use shares::LearntShare;

@@ -13,9 +13,10 @@ pub(super) type Payload = [f32; PAYLOAD_PARAMETERS];
 
 pub(super) const NO_PAYLOAD: Payload = [0.0; PAYLOAD_PARAMETERS];
 
-/// Largest distance of a payload's centre of mass from the origin of the last link, m. The flange is up to 0.1 m from it, and a
-/// gripper with its body reaches 0.25 m further.
-pub const MAX_COM_DISTANCE: f32 = 0.5;
+/// Largest distance of a payload's centre of mass from the origin of the last link: two fifths of the stretched arm, and 0.5 m at
+/// least. The flange of an arm that reaches 1 m is up to 0.1 m from it, and a gripper with its body 0.25 m further.
+const COM_PART: f32 = 0.4;
+const LEAST_COM_DISTANCE: f32 = 0.5;
 /// Distance of the rated payload's centre of mass from that origin, m.
 pub const RATED_COM_DISTANCE: f32 = 0.25;
 /// Weight of the rated payload at full stretch, in units of the torque limit.
@@ -37,6 +38,20 @@ const fn stretch<const N: usize, const P: usize>(arm: &ArmModel<N, P>, joint: us
         later += 1;
     }
     length
+}
+
+/// Largest distance of a payload's centre of mass from the origin of the last link, m.
+pub(super) fn max_com_distance<A: Arm<N, P>, const N: usize, const P: usize>() -> f32 {
+    table!(A, com_distance)
+}
+
+const fn com_distance<const N: usize, const P: usize>(arm: &ArmModel<N, P>) -> f32 {
+    let part = COM_PART * stretch(arm, 0);
+    if part > LEAST_COM_DISTANCE {
+        part
+    } else {
+        LEAST_COM_DISTANCE
+    }
 }
 
 /// Rated payload of an arm, kg: the mass whose weight at full stretch takes a third of the torque limit of the weakest
@@ -283,6 +298,20 @@ mod tests {
     }
 
     #[test]
+    fn a_long_arm_carries_its_payload_further_from_its_last_link() {
+        let short = Ur5::model();
+        let mut placements = short.placements;
+        placements[2].origin[0] -= 2.0;
+        let arm = ArmModel {
+            placements,
+            ..*short
+        };
+        let (stretched, longer) = (stretch(short, 0), stretch(&arm, 0));
+        assert!(longer > stretched + 1.9, "{longer}");
+        assert_eq!(com_distance(&arm), COM_PART * longer);
+    }
+
+    #[test]
     fn a_single_joint_carries_its_payload_at_its_largest_distance() {
         let arm = Ur5::model();
         let columns = [arm.columns[5]];
@@ -303,6 +332,7 @@ mod tests {
         let [limit, weight] = [single.limits[0].torque, 9.81 * rated_mass(&single)];
         assert!((weight * 0.25 - limit / 3.0).abs() < 1e-3, "{weight}");
         assert!(torque_bound(&single)[0] < 0.7 * limit);
+        assert_eq!([com_distance(&single), com_distance(arm)], [0.5; 2]);
     }
 
     #[test]

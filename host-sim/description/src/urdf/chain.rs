@@ -232,14 +232,17 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
             "joint '{name}': its velocity limit is {velocity} rad/s: are these degrees?"
         ));
     }
+    let continuous = |notes: &mut Vec<String>| {
+        notes.push(format!(
+            "joint '{name}' is continuous: its range is taken as ±2π rad"
+        ));
+        (-TAU, TAU)
+    };
     let position = match (joint.kind.as_str(), limit.lower, limit.upper) {
-        (kind, Some(lower), Some(upper)) if lower < upper && kind != "continuous" => (lower, upper),
-        ("continuous", ..) => {
-            notes.push(format!(
-                "joint '{name}' is continuous: its range is taken as ±2π rad"
-            ));
-            (-TAU, TAU)
-        }
+        // As files have it whose converter wants a number.
+        (_, Some(lower), Some(upper)) if lower < -ENDLESS && upper > ENDLESS => continuous(notes),
+        ("continuous", ..) => continuous(notes),
+        (_, Some(lower), Some(upper)) if lower < upper => (lower, upper),
         // As files have it that give no range.
         (_, None, None) | (_, Some(0.0), Some(0.0) | None) | (_, None, Some(0.0)) => {
             notes.push(format!("joint '{name}': no range, ±π rad is taken"));
@@ -270,6 +273,9 @@ fn limits(joint: &JointElement, notes: &mut Vec<String>) -> Result<Limits, Strin
         torque: limit.effort.unwrap_or(0.0),
     })
 }
+
+/// Angle beyond which a range is none, rad: no sample may have it.
+const ENDLESS: f64 = foretorque::math::LARGEST_ANGLE as f64;
 
 /// Speed beyond which no drive of an arm turns, rad/s: the fastest without a gear reach 45.
 const FAST: f64 = 50.0;

@@ -222,21 +222,27 @@ fn assumptions_are_listed_in_the_notes() {
 
 #[test]
 fn limits_that_are_none_are_not_taken() {
-    // Those of a continuous joint, infinite ones, and a speed in degrees.
+    // Those of a continuous joint, or a range without end, infinite ones, and a speed in degrees.
     let elbow = r#""elbow" type="continuous">"#;
-    let limits = r#"<limit lower="-0.5" upper="0.5" velocity="inf" effort="Infinity"/>"#;
-    let text = ARM.replace(elbow, &format!("{elbow}{limits}"));
-    let text = text.replacen("velocity=\"3\"", "velocity=\"180\"", 1);
-    let import = imported(&text);
-    let elbow = import.robot.joints[1].limits;
-    assert_eq!(elbow.position, (-4.0 * FRAC_PI_2, 4.0 * FRAC_PI_2));
-    for note in [
-        "joint 'elbow' is continuous: its range",
-        "joint 'elbow': no velocity limit, 2 rad/s",
-        "joint 'elbow': no torque limit",
-        "joint 'shoulder': its velocity limit is 180 rad/s: are these degrees?",
+    for (kind, range) in [
+        ("continuous", r#"lower="-0.5" upper="0.5""#),
+        ("revolute", r#"lower="-10000" upper="10000""#),
     ] {
-        assert!(import.begins(note), "{note}: {:?}", import.notes);
+        let limits = format!(r#"<limit {range} velocity="inf" effort="Infinity"/>"#);
+        let own = format!(r#""elbow" type="{kind}">{limits}"#);
+        let text = ARM.replace(elbow, &own);
+        let text = text.replacen("velocity=\"3\"", "velocity=\"180\"", 1);
+        let import = imported(&text);
+        let elbow = import.robot.joints[1].limits;
+        assert_eq!(elbow.position, (-4.0 * FRAC_PI_2, 4.0 * FRAC_PI_2));
+        for note in [
+            "joint 'elbow' is continuous: its range",
+            "joint 'elbow': no velocity limit, 2 rad/s",
+            "joint 'elbow': no torque limit",
+            "joint 'shoulder': its velocity limit is 180 rad/s: are these degrees?",
+        ] {
+            assert!(import.begins(note), "{note}: {:?}", import.notes);
+        }
     }
 }
 

@@ -144,8 +144,9 @@ fn on_line(
         let (bytes, injected) = line(&mut host, frames);
         let round = host.rig.send(&bytes)?;
         campaign.count(&round, injected);
-        if shows && !round.noticed {
-            campaign.unnoticed += injected;
+        if shows {
+            let unseen = if round.noticed { 0 } else { injected };
+            *campaign.unnoticed.get_or_insert(0) += unseen;
         }
     }
     let back = host.come_back(&mut campaign)?;

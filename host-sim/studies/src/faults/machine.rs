@@ -1,17 +1,14 @@
-//! Faults of the processor: the firmware that fails on request, in the emulator; and a simulated watchdog, fed through the
-//! task check-in of the firmware.
+//! Faults of the processor: the firmware that fails on request, in the emulator; and a board that its watchdog has restarted.
 
 use super::Campaign;
 use crate::StudyError;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque_link::safety::{SafetyReason, SafetyState, Task, TaskCheckIn};
+use foretorque_link::safety::{SafetyReason, SafetyState};
 use foretorque_link::session::{BoardDescription, NoClock, NoLocalSensor};
 use foretorque_link::wire::{BoardHello, BoardMessage, Decoder, ResetReason};
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Client, Native, Transport as _};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use std::fs;
 use std::io;
 use std::path::PathBuf;
@@ -118,40 +115,13 @@ pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campai
     Ok(campaign)
 }
 
-/// Periods without feeding after which the watchdog resets the board.
-const WATCHDOG_PERIODS: u32 = 100;
-
-/// `times` lives of a board in which one task, any of them, stops answering at some moment. The watchdog must reset the board, the
-/// board must come back disarmed with the reason, refuse to be armed until that was taken note of, and then work.
-pub(super) fn watchdog_resets(times: u32, seed: u64) -> Result<Campaign, StudyError> {
-    let mut campaign = Campaign::new("watchdog reset", "native");
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    for _ in 0..times {
-        let silent = Task::ALL[random.random_range(0..Task::ALL.len())];
-        let end = random.random_range(0..1000);
-        let tasks = TaskCheckIn::new();
-        let mut left = WATCHDOG_PERIODS;
-        let expired = (0..end + 2 * WATCHDOG_PERIODS).find(|&period| {
-            for task in Task::ALL {
-                if task != silent || period < end {
-                    tasks.check_in(task);
-                }
-            }
-            left = if tasks.complete() {
-                WATCHDOG_PERIODS
-            } else {
-                left - 1
-            };
-            left == 0
-        });
-        campaign.injected += 1;
-        // Not before the task stopped, and at once when its time is over.
-        let in_time =
-            expired.is_some_and(|expired| (end..end + WATCHDOG_PERIODS).contains(&expired));
-        let (quiet, back) = restarted()?;
-        campaign.wrong_torques += u64::from(!quiet);
-        campaign.recovered += u64::from(in_time && back);
-    }
+/// A board that its watchdog has restarted: it must report that, refuse to be armed until this was taken note of, and then work.
+pub(super) fn restart_by_watchdog() -> Result<Campaign, StudyError> {
+    let mut campaign = Campaign::new("restart by the watchdog", "native");
+    let (quiet, back) = restarted()?;
+    campaign.injected = 1;
+    campaign.wrong_torques = u64::from(!quiet);
+    campaign.recovered = u64::from(back);
     Ok(campaign)
 }
 

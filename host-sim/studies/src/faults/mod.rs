@@ -19,9 +19,10 @@ use foretorque_link::store::slots;
 use foretorque_link::wire::Pacing;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::board::{Native, Transport};
+use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::snapshot::aligned;
 use link::{damaged_line, foreign_frames, strange_numbers};
-use machine::{Crash, crashes, watchdog_resets};
+use machine::{Crash, crashes, restart_by_watchdog};
 use rig::Round;
 use serde::Serialize;
 use std::path::Path;
@@ -52,10 +53,12 @@ pub struct Campaign {
     pub timeouts: u64,
     /// See [`timeouts`](Self::timeouts).
     pub mistimed: u64,
-    /// Torques that were compared.
+    /// Torques that were compared with the reference, bit by bit.
     pub torques: u64,
-    /// Faults that no counter of the board shows.
-    pub unnoticed: u64,
+    /// Answers with torque enabled whose promises were checked: limits, permission, times.
+    pub promised: u64,
+    /// Faults that no counter of the board shows; `None` where they need not show.
+    pub unnoticed: Option<u64>,
     /// Intact frames, at most, until one was received again.
     pub frames_to_resynchronise: u32,
     /// Faults since the last right torque.
@@ -76,7 +79,8 @@ impl Campaign {
     /// Something was broken, all of it was noticed, no wrong torque left the board, no set was lost, and the board came back
     /// every time, on a line within two frames.
     pub fn is_survived(&self) -> bool {
-        let clean = self.wrong_torques == 0 && self.lost_sets == 0 && self.unnoticed == 0;
+        let clean =
+            self.wrong_torques == 0 && self.lost_sets == 0 && self.unnoticed.unwrap_or(0) == 0;
         let back = self.recovered == self.injected && self.frames_to_resynchronise <= 2;
         let kept = self.without_permission + self.rearmed + self.mistimed == 0;
         self.injected > 0 && clean && back && kept
@@ -116,42 +120,53 @@ impl Campaign {
     }
 }
 
-type Count = fn(&Campaign) -> u64;
+type Count = fn(&Campaign) -> Option<u64>;
 
-/// Counts of a campaign by their names in a report.
-const COUNTS: [(&str, Count); 10] = [
-    ("injected", |own| own.injected),
-    ("torques compared", |own| own.torques),
-    ("wrong", |own| own.wrong_torques),
-    ("lost sets", |own| own.lost_sets),
-    ("recovered", |own| own.recovered),
+/// Counts of a campaign by their names in a report; `None` where nothing was counted.
+const COUNTS: [(&str, Count); 11] = [
+    ("injected", |own| Some(own.injected)),
+    ("torques compared", |own| counted(own.torques)),
+    ("under promises", |own| counted(own.promised)),
+    ("wrong", |own| Some(own.wrong_torques)),
+    ("lost sets", |own| Some(own.lost_sets)),
+    ("recovered", |own| Some(own.recovered)),
     ("unseen", |own| own.unnoticed),
-    ("without permission", |own| own.without_permission),
-    ("re-armed", |own| own.rearmed),
-    ("time-outs", |own| own.timeouts),
-    ("mistimed", |own| own.mistimed),
+    ("without permission", |own| Some(own.without_permission)),
+    ("re-armed", |own| Some(own.rearmed)),
+    ("time-outs", |own| counted(own.timeouts)),
+    ("mistimed", |own| {
+        counted(own.timeouts).map(|_| own.mistimed)
+    }),
 ];
+
+fn counted(count: u64) -> Option<u64> {
+    Some(count).filter(|count| *count > 0)
+}
 
 /// The counts of all campaigns.
 pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
-    let sum = |count: Count| campaigns.iter().map(count).sum::<u64>();
+    let sum = |count: fn(&Campaign) -> u64| campaigns.iter().map(count).sum::<u64>();
     let (number, injected) = (campaigns.len(), sum(|own| own.injected));
+    let must_show = campaigns.iter().filter(|own| own.unnoticed.is_some());
+    let must_show: u64 = must_show.map(|own| own.injected).sum();
     let not_recovered = injected - sum(|own| own.recovered);
     let header = COUNTS.map(|(name, _)| name).join(" | ");
     let rows = campaigns.iter().map(|own| {
-        let counts = COUNTS.map(|(_, count)| count(own).to_string());
+        let counts = COUNTS.map(|(_, count)| or_dash(count(own), |count| count.to_string()));
         [own.name.clone(), own.board.clone()]
             .into_iter()
             .chain(counts)
     });
     format!(
         "cargo xtask faults, seed {seed}\n\n\
-         {number} campaigns, {injected} faults, {} torques compared: {} wrong, {} sets lost, {not_recovered} not recovered, \
-         {} unseen, {} torques without permission, {} re-arms unasked, {} of {} time-outs more than a period off.\n\n{}",
+         {number} campaigns, {injected} faults, {} torques compared bit by bit and {} under promises: {} wrong, {} sets lost, \
+         {not_recovered} not recovered, {} of {must_show} that must show unseen, {} torques without permission, {} re-arms \
+         unasked, {} of {} time-outs more than a period off.\n\n{}",
         sum(|own| own.torques),
+        sum(|own| own.promised),
         sum(|own| own.wrong_torques),
         sum(|own| own.lost_sets),
-        sum(|own| own.unnoticed),
+        sum(|own| own.unnoticed.unwrap_or(0)),
         sum(|own| own.without_permission),
         sum(|own| own.rearmed),
         sum(|own| own.mistimed),
@@ -255,9 +270,7 @@ pub fn scenarios(lengths: Lengths, seed: u64, scratch: &Path) -> Vec<Scenario> {
         }
     }
     flash(&mut all, lengths, seed);
-    all.push(Scenario::new("watchdog", move || {
-        watchdog_resets(lengths.times, seed)
-    }));
+    all.push(Scenario::new("watchdog", restart_by_watchdog));
     for crash in Crash::ALL {
         let trace = scratch.join(format!("{}.trace", crash.name.replace(' ', "-")));
         let times = lengths.times.div_ceil(20);

@@ -152,7 +152,7 @@ impl Timeline {
         let (torque, enabled) = (*session.torque_output(), session.torque_enabled());
         let status = session.safety();
         let campaign = &mut self.campaign;
-        campaign.torques += u64::from(enabled);
+        campaign.promised += u64::from(enabled);
         match self.promises.check(&torque, enabled, status, used) {
             Ok(()) => {}
             Err(Broken::Permission) => campaign.without_permission += 1,

@@ -120,7 +120,7 @@ impl<const N: usize> Bench<N> {
                         }
                     },
                 };
-                let figures = self.figures::<A, P>(&scenario, (start, source), &bank, config)?;
+                let figures = self.figures::<A, P>(&scenario, source, &bank, config)?;
                 reports.push(ScenarioReport {
                     arm: self.described.name.clone(),
                     scenario: name,
@@ -151,7 +151,7 @@ impl<const N: usize> Bench<N> {
     fn figures<A: Arm<N, P>, const P: usize>(
         &self,
         scenario: &Scenario,
-        (start, source): (Start, Source),
+        source: Source,
         bank: &ParameterBank,
         config: &LearningConfig,
     ) -> Result<(Figures, Vec<(f64, f64)>), StudyError> {
@@ -208,10 +208,6 @@ impl<const N: usize> Bench<N> {
             put("tracking_truth_over_pd_ratio", truth / alone);
             let learnt = learnt.tracking.mean_rms_mrad();
             put("tracking_over_pd_ratio", learnt / alone);
-        }
-        if start == Start::Description {
-            let above = learnt.curve.iter().rfind(|(_, error)| *error > 0.35);
-            put("stays_below_0.35_s", above.map_or(0.0, |(t_s, _)| *t_s));
         }
         Ok((figures, learnt.curve))
     }

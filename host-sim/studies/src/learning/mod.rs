@@ -145,9 +145,11 @@ fn of_arm(
 
 /// Beginnings of the names of arm and scenario, figure, side, bar.
 #[rustfmt::skip]
-const BARS: [(&str, &str, &str, &str, f64); 14] = [
+const BARS: [(&str, &str, &str, &str, f64); 16] = [
     ("",    "path-description",      "unseen_over_start_ratio",           "at most",  0.35),
     ("",    "jitter-description",    "unseen_over_start_ratio",           "at most",  0.35),
+    ("",    "path-bank",             "unseen_over_start_ratio",           "at most",  1.1),
+    ("",    "slow-bank",             "unseen_over_start_ratio",           "at most",  1.1),
     ("",    "path-",                 "unseen_over_batch_ratio",           "at most",  1.3),
     ("",    "path-description-link", "unseen_over_batch_ratio",           "at most",  1.1),
     ("",    "slow-",                 "unseen_over_batch_ratio",           "at most",  1.5),
@@ -157,7 +159,7 @@ const BARS: [(&str, &str, &str, &str, f64); 14] = [
     ("",    "rigid-",                "tracking_over_pd_ratio",            "at most",  0.2),
     ("ur5", "rigid-",                "tracking_over_pd_ratio",            "at most",  0.05),
     ("",    "drift-",                "mean_over_start_ratio",             "at most",  0.8),
-    ("",    "calm-",                 "alarms_count",                      "at most",  0.0),
+    ("",    "",                      "alarms_count",                      "at most",  0.0),
     ("",    "payload-",              "payload_mass_error_worst_percent",  "at most",  10.0),
     ("",    "",                      "armed_at_the_end_count",            "at least", 1.0),
 ];

@@ -36,8 +36,8 @@ const WINDOW_S: usize = 10;
 /// Codes that are false on undisturbed motion: an alarm of change detection, a payload.
 const DISTURBED: [u8; 2] = [1, 2];
 
-/// Errors of one second, squares in units of the joints' scale: learnt, start, and values.
-type Second = [f64; 3];
+/// Errors of one second, squares in units of the joints' scale: learnt and start.
+type Second = [f64; 2];
 
 pub(super) struct Trace<const N: usize> {
     pub(super) seconds: Vec<Second>,
@@ -130,7 +130,7 @@ impl<const N: usize> Bench<N> {
             alarms: 0,
             weighed: Vec::new(),
             curve: Vec::new(),
-            rows: Rows::new(LearnerConfig::<N, P>::for_arm::<A>(PERIOD_S as f32).decimation),
+            rows: Rows::new(&LearnerConfig::<N, P>::for_arm::<A>(PERIOD_S as f32)),
             armed: true,
         };
         let (mut acting, mut decided, mut mass) = (Joints::zeros(), 0.0, 0.0);
@@ -169,13 +169,12 @@ impl<const N: usize> Bench<N> {
                 let motion = motion_f32(&record.desired);
                 let frozen: Joints<N> = evaluate::<A, N, P>(started, &motion).total.cast();
                 let (second, length) = (t_s as usize, trace.seconds.len());
-                trace.seconds.resize(length.max(second + 1), [0.0; 3]);
+                trace.seconds.resize(length.max(second + 1), [0.0; 2]);
                 for j in (0..N).filter(|&j| record.desired.qd[j].abs() > MOVING_RAD_S) {
                     let square = |tau: f64| ((tau - needed[j]) / self.scale[j]).powi(2);
                     let sums = &mut trace.seconds[second];
                     sums[0] += square(acting[j]);
                     sums[1] += square(frozen[j]);
-                    sums[2] += 1.0;
                 }
             }
             acting = record.feed_forward.cast();
@@ -227,10 +226,10 @@ pub(super) struct Rows<const N: usize> {
 }
 
 impl<const N: usize> Rows<N> {
-    /// No rows; a sample of the filter is `decimation` ticks.
-    pub(super) fn new(decimation: u32) -> Self {
+    /// No rows; the motion filter is that of `config`.
+    pub(super) fn new<const P: usize>(config: &LearnerConfig<N, P>) -> Self {
         Self {
-            window: MeasurementWindow::new(decimation),
+            window: MeasurementWindow::new(config.decimation, config.delay),
             ticks: 0,
             rows: Vec::new(),
         }
@@ -344,11 +343,11 @@ mod tests {
 
     #[test]
     fn windows_with_a_torque_that_is_not_finite_are_the_worst() {
-        let mut seconds = [[1.0, 4.0, 1.0]; 3 * WINDOW_S];
+        let mut seconds = [[1.0, 4.0]; 3 * WINDOW_S];
         assert!(window_ratios(&seconds).iter().all(|ratio| *ratio == 0.5));
         seconds[0][0] = f64::NAN;
         let ratios = window_ratios(&seconds);
         assert_eq!((ratios[0], ratios[1]), (f64::INFINITY, 0.5));
-        assert!(window_ratios(&[[0.0; 3]; WINDOW_S]).is_empty(), "rest");
+        assert!(window_ratios(&[[0.0; 2]; WINDOW_S]).is_empty(), "rest");
     }
 }

@@ -173,10 +173,14 @@ impl Twin {
         self.theta += spread * multipliers;
     }
 
-    /// Largest distance of any parameter of `estimate`, prior standard deviations.
+    /// Largest distance of any parameter of `estimate`, prior standard deviations; infinite if one is not finite.
     pub(super) fn distance(&self, estimate: &LinearParameters<N, P>) -> f64 {
         let found = (wide(estimate) - &self.start).component_div(&self.sigma);
-        (found - &self.theta).amax()
+        let distances = (found - &self.theta).abs();
+        match distances.iter().all(|distance| distance.is_finite()) {
+            true => distances.max(),
+            false => f64::INFINITY,
+        }
     }
 }
 
@@ -190,7 +194,7 @@ pub(super) fn twin(
     let config = LearnerConfig::<N, P>::for_arm::<Ur5>(PERIOD_S as f32);
     let mut estimator = Box::new(Estimator::<N, P>::new::<Ur5>(prior));
     let mut twin = Twin::new(config, prior);
-    let mut window = MeasurementWindow::<N>::new(config.decimation);
+    let mut window = MeasurementWindow::<N>::new(config.decimation, config.delay);
     let (mut worst, mut rows) = (0.0_f64, 0);
     for (tick, sample) in samples.enumerate() {
         let sample = SampleFrame::new(&sample).sample(&[0.0; N]);

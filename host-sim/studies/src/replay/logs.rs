@@ -4,7 +4,7 @@ use super::record::{GATE_RAD_S, PathScores, Predictions, WorstWindow};
 use crate::real_ur5::geometric_mean;
 use crate::{Progress, StudyError};
 use foretorque::joint::{JointMeasurement, JointVector};
-use foretorque_workbench::dynamics::State;
+use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::identification::{
     IdentifyConfig, IdentifyError, Layout, MethodName, Preparation, PrepareConfig, Prepared,
     WholeLog, for_each_prepared, identify,
@@ -316,40 +316,42 @@ impl<const N: usize> Scores<N> {
         rows: usize,
         limits: &[f64; N],
     ) {
-        // Time, and squares of the errors of the newest parameters and of the start.
-        let mut seen: Vec<(f64, [[f64; N]; 2])> = Vec::new();
+        // Sums of the rows so far, and how many of them are not finite.
+        let (mut sums, mut lost) = (vec![[[0.0; N]; 2]], vec![0]);
+        let mut times = Vec::new();
         for (stretch, predicted) in log {
             for (k, row) in stretch.rows.iter().enumerate() {
-                let mut squares = [[0.0; N]; 2];
+                let (mut sum, mut finite) = (sums[sums.len() - 1], true);
                 for joint in moving(row) {
-                    for (sums, torques) in squares
-                        .iter_mut()
-                        .zip([&predicted.newest, &predicted.frozen])
-                    {
-                        let error = torques[k * N + joint] - row.tau[joint];
-                        sums[joint] = (error / limits[joint]).powi(2);
+                    let torques = [&predicted.newest, &predicted.frozen];
+                    for (sum, torques) in sum.iter_mut().zip(torques) {
+                        let error = (torques[k * N + joint] - row.tau[joint]) / limits[joint];
+                        finite &= error.is_finite();
+                        sum[joint] += if error.is_finite() {
+                            error * error
+                        } else {
+                            0.0
+                        };
                     }
                 }
-                let t_s = stretch.start_s + k as f64 * stretch.preparation.period_s;
-                seen.push((t_s, squares));
+                sums.push(sum);
+                lost.push(lost[lost.len() - 1] + usize::from(!finite));
+                times.push(stretch.start_s + k as f64 * stretch.preparation.period_s);
             }
         }
-        for begin in (0..seen.len().saturating_sub(rows)).step_by((rows / 4).max(1)) {
-            let mut sums = [[0.0; N]; 2];
-            for (_, squares) in &seen[begin..begin + rows] {
-                let pairs = sums.iter_mut().flatten().zip(squares.iter().flatten());
-                pairs.for_each(|(sum, square)| *sum += square);
-            }
-            let [newest, start] = sums;
-            let ratio = (newest.iter().sum::<f64>() / start.iter().sum::<f64>()).sqrt();
-            let worse = |worst: WorstWindow| ratio > worst.ratio;
-            if ratio.is_finite() && self.worst_window.is_none_or(worse) {
-                let excess = |joint: &usize| newest[*joint] - start[*joint];
-                let most = (0..N).max_by(|a, b| excess(a).total_cmp(&excess(b)));
+        for (begin, (first, last)) in sums.iter().zip(sums.iter().skip(rows)).enumerate() {
+            let of = |set: usize| Joints::<N>::from_fn(|j, _| last[set][j] - first[set][j]);
+            let [newest, start] = [0, 1].map(of);
+            let ratio = match (newest.sum(), start.sum()) {
+                _ if lost[begin + rows] > lost[begin] => f64::INFINITY,
+                (newest, start) if newest + start > 0.0 => (newest / start).sqrt(),
+                _ => continue,
+            };
+            if self.worst_window.is_none_or(|worst| ratio > worst.ratio) {
                 self.worst_window = Some(WorstWindow {
                     ratio,
-                    from_s: seen[begin].0,
-                    joint: most.unwrap_or_default() + 1,
+                    from_s: times[begin],
+                    joint: (newest - start).imax() + 1,
                 });
             }
         }

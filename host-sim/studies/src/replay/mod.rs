@@ -81,7 +81,7 @@ impl<const N: usize, const P: usize> Start<N, P> {
         let of_board = self.config.decimation;
         let sample_s = TAPS as f64 * self.tick_s();
         for file in paths.iter().flat_map(|path| &path.files) {
-            let needed = motion_filter(file, robot, sample_s, of_board..=N as u32)?;
+            let needed = motion_filter(file, robot, sample_s, of_board..=of_board.max(N as u32))?;
             self.config.decimation = self.config.decimation.max(needed);
         }
         if self.config.decimation > of_board {
@@ -186,7 +186,9 @@ fn play<A: Arm<N, P>, const N: usize, const P: usize>(
     let mut predicted = Predictions::default();
     let mut before: Option<JointMeasurement<N>> = None;
     // What follows does not join on to what came before.
-    board.tick(None);
+    if board.ticks > 0 {
+        board.tick(None);
+    }
     for row in &stretch.rows {
         let desired = motion_f32(&row.state);
         let torques = |state: &FeedForwardState<N, P>| state.torque::<A>(&desired).cast::<f64>();

@@ -16,6 +16,7 @@ use foretorque_link::drives::Frame;
 use foretorque_link::safety::SafetyReason;
 use sockets::{SocketCan, UdpMulticast};
 use std::str::FromStr;
+use std::thread::{Scope, ScopedJoinHandle};
 use std::time::{Duration, Instant};
 use std::{fmt, io};
 use text::{TextForm, TextLine};
@@ -26,7 +27,7 @@ use thread_priority::unix::{
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 /// Buses of one arm, with the clock of their loop.
-pub trait Network {
+pub trait Network: Send {
     /// Name for messages.
     fn name(&self) -> String;
 
@@ -193,10 +194,26 @@ impl Network for WiredNetwork {
     }
 }
 
-/// Gives this thread a priority of real time (`SCHED_FIFO`) and keeps the memory of the program in RAM.
+/// Start the loop around the drives in a thread of its own: files and pages are written by another.
 ///
-/// Errors: what the system does not permit; the loop then runs with the priority that it has.
-pub fn real_time() -> Result<(), String> {
+/// * `wired` the drives are real: the thread gets a priority of real time (`SCHED_FIFO`), and the memory of the program stays
+///   in RAM until its end. `work` is told the reason where the system does not permit it.
+pub fn spawn_loop<'scope, T: Send + 'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    wired: bool,
+    work: impl FnOnce(Option<String>) -> T + Send + 'scope,
+) -> ScopedJoinHandle<'scope, T> {
+    scope.spawn(move || {
+        let outcome = work(wired.then(real_time).and_then(Result::err));
+        if wired {
+            // Fails where nothing was locked.
+            let _ = nix::sys::mman::munlockall();
+        }
+        outcome
+    })
+}
+
+fn real_time() -> Result<(), String> {
     let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     let priority = ThreadPriorityValue::try_from(PRIORITY).map_err(|error| error.to_string())?;
     let wanted = ThreadPriority::Crossplatform(priority);

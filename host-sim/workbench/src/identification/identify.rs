@@ -164,12 +164,12 @@ pub fn identify(
     let is_tilted = fit.is_some_and(|fit| after_fit(&mut judgement, robot, &layout, fit, rows));
     // The error of a model without the tilt changes with the pose, as that of one without a body in the hand does.
     if !is_tilted {
-        if let Some((place, text)) = change(&layout, rows, &best.candidate) {
+        if let Some((place, text)) = change(robot, &layout, rows, &best.candidate) {
             let log = logs[dataset.log_of(place)].display();
             judgement.find(false, format!("{log}: {text}"));
         }
         for (log, rows) in &study.unseen {
-            if let Some((_, text)) = change(&layout, rows, &best.candidate) {
+            if let Some((_, text)) = change(robot, &layout, rows, &best.candidate) {
                 judgement.find(false, format!("{log}: {text}"));
             }
         }

@@ -229,10 +229,10 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
     };
     let asked = ["des", "target", "cmd", "ref", "con"];
     let q = guess(
-        &["q", "pos", "angle", "_rad"],
-        &[&asked[..], &["qd", "dq", "rad_s"]].concat(),
+        &["q", "pos", "ang", "_rad"],
+        &[&asked[..], &["qd", "dq", "rad_s", "torq"]].concat(),
     );
-    let tau = guess(&["tau", "torque", "eff", "moment", "_nm"], &asked);
+    let tau = guess(&["tau", "torq", "eff", "moment", "_nm"], &asked);
     let all = header[..header.len().min(SHOWN)].join(", ");
     let more = if header.len() > SHOWN { ", …" } else { "" };
     // Positions and torques need as many.

@@ -66,6 +66,12 @@ fn cut_off_of_noise(noise: f64, most: f64, period_s: f64) -> f64 {
     power.powf(0.2)
 }
 
+/// Length of the quadratic fit whose accelerations have as much noise as those below the cut-off frequency `cut_off_hz`, Hz, s:
+/// the equations of [`cut_off_of_noise`] and [`motion_filter`].
+fn length_for_noise(cut_off_hz: f64) -> f64 {
+    (720.0 * 5.0 / (2.0 * TAU.powi(4))).powf(0.2) / cut_off_hz
+}
+
 /// Largest power of accelerations that are no motion of the arm, share of that of its motion.
 const FALSE_POWER: f64 = 0.05;
 
@@ -77,6 +83,11 @@ const FALSE_POWER: f64 = 0.05;
 /// Each step has to halve this share: that of white noise falls with the fifth power of the length.
 /// Otherwise it is motion, faster than the filter, or noise beside which a longer filter shows no motion either.
 /// Joints count while they move, in the rows that find the clock of the log.
+///
+/// It is as long, too, as the noise of the positions requires that [`PrepareConfig`] filters:
+/// ```text
+/// 720 noise² period / length⁵ = most²     variance of the second derivative of a quadratic fit
+/// ```
 ///
 /// Errors: the log's.
 pub fn motion_filter(
@@ -92,7 +103,21 @@ pub fn motion_filter(
     let joints: Vec<Vec<f64>> = (0..robot.joints.len()).map(positions).collect();
     let unit = unit_s / log.period_s();
     let still_rad = MOVING_RAD_S * log.period_s();
-    Ok(filter_length(&joints, unit, still_rad, range))
+    let noisiest_hz = noisiest_cut_off(&log, robot);
+    let (shortest, longest) = range.into_inner();
+    let needed = (length_for_noise(noisiest_hz) / unit_s).ceil() as u32;
+    let shortest = shortest.max(needed.min(longest));
+    Ok(filter_length(&joints, unit, still_rad, shortest..=longest))
+}
+
+/// Lowest cut-off frequency that the noise of a joint's positions requires, Hz; infinite without noise.
+fn noisiest_cut_off(log: &WholeLog, robot: &Robot) -> f64 {
+    let joints = robot.joints.iter().zip(&log.noise);
+    let cut_offs = joints.map(|(joint, noise)| {
+        let most = NOISE * joint.limits.acceleration;
+        cut_off_of_noise(*noise, most, log.period_s())
+    });
+    cut_offs.fold(f64::INFINITY, f64::min)
 }
 
 /// The longest of the first rows of a log without a gap, across which derivatives would be wrong.
@@ -181,10 +206,7 @@ impl PrepareConfig {
         for path in logs {
             let log = WholeLog::open(path, robot)?;
             let period_s = log.period_s();
-            for (joint, noise) in robot.joints.iter().zip(&log.noise) {
-                let most = NOISE * joint.limits.acceleration;
-                motion_hz = motion_hz.min(cut_off_of_noise(*noise, most, period_s));
-            }
+            motion_hz = motion_hz.min(noisiest_cut_off(&log, robot));
             [motion_hz, torque_hz] = cut_offs([motion_hz, torque_hz], period_s);
         }
         Ok(Self {
@@ -555,6 +577,15 @@ mod tests {
         let expected = noise / (0.5 * (0.5 * (3.0 * 2e-3_f64).powi(2)).powi(2));
         let over = found / expected;
         assert!((over - 1.0).abs() < 0.15, "{found} for {expected}");
+    }
+
+    #[test]
+    fn a_fit_has_the_noise_that_a_batch_filter_leaves() {
+        let (noise, most, period_s) = (1e-3_f64, 0.5, 2e-3);
+        let length_s = length_for_noise(cut_off_of_noise(noise, most, period_s));
+        let left = 720.0 * noise.powi(2) * period_s / length_s.powi(5);
+        assert!((left.sqrt() / most - 1.0).abs() < 1e-9, "{left}");
+        assert_eq!(length_for_noise(f64::INFINITY), 0.0);
     }
 
     #[test]

@@ -101,6 +101,10 @@ fn lower_torque_limits_bound_what_was_learnt_and_leave_its_units() {
     parameters.network[3].output_bias[0] = 0.05;
     let mut config = FeedForwardConfig::for_arm::<Ur5, P>(1e-3);
     let whole = config;
+    for (joint, torque) in [(0, 1e4), (0, f32::NAN), (N, 1.0)] {
+        config.limit_torque(joint, torque);
+        assert_eq!(config, whole, "nothing is raised");
+    }
     for joint in 0..N {
         config.limit_torque(joint, 0.1 * config.limits[joint].torque);
     }

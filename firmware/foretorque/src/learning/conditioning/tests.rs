@@ -8,16 +8,28 @@ fn at(q: f32, tau: f32) -> JointMeasurement<2> {
 }
 
 #[test]
-fn the_sums_are_those_of_the_window() {
-    let sum = |power| (-15..=15).map(|k: i32| k.pow(power) as f32).sum::<f32>();
-    assert_eq!((SUM_0, SUM_2, SUM_4), (sum(0), sum(2), sum(4)));
+fn the_factors_are_those_of_the_sums_over_the_window() {
+    for delay in LEAST_DELAY..=DELAY as u32 {
+        let d = delay as i32;
+        let sum = |power| (-d..=d).map(|k: i32| k.pow(power) as f32).sum::<f32>();
+        let [sum_0, sum_2, sum_4] = [0, 2, 4].map(sum);
+        let curvature = sum_4 - sum_2 * sum_2 / sum_0;
+        let expected = [
+            sum_2,
+            1.0 / sum_0,
+            sum_2 / sum_0,
+            1.0 / sum_2,
+            1.0 / curvature,
+        ];
+        assert_eq!(fit_factors(delay), expected);
+    }
 }
 
 #[test]
 fn a_quadratic_is_read_exactly_with_its_torque() {
     let period = 1e-3f64;
     let (q0, qd0, qdd0) = (5.5, -1.7, 9.0);
-    let mut window = MeasurementWindow::<2>::new(1);
+    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
     for tick in 0..200 {
         let t = f64::from(tick) * period;
         let q = q0 + qd0 * t + 0.5 * qdd0 * t * t;
@@ -38,9 +50,33 @@ fn a_quadratic_is_read_exactly_with_its_torque() {
 }
 
 #[test]
+fn a_short_filter_belongs_to_its_middle() {
+    for delay in [LEAST_DELAY, 7, 14] {
+        let mut window = MeasurementWindow::<2>::new(1, delay);
+        let mut rows = 0;
+        for tick in 0..60u32 {
+            let t = 0.01 * tick as f32;
+            window.push(Some(&at(2.0 * t * t, tick as f32)));
+            let Some(seen) = window.conditioned(100.0) else {
+                assert!(tick < taps(delay) - 1, "{delay}: {tick}");
+                continue;
+            };
+            rows += 1;
+            let then = tick - delay;
+            assert_eq!(seen.tau[0], then as f32);
+            let t = 0.01 * then as f32;
+            assert!((seen.motion.q[0] - 2.0 * t * t).abs() < 1e-5);
+            assert!((seen.motion.qd[0] - 4.0 * t).abs() < 1e-3);
+            assert!((seen.motion.qdd[0] - 4.0).abs() < 2e-2);
+        }
+        assert_eq!(rows, 60 - taps(delay) + 1);
+    }
+}
+
+#[test]
 fn a_sample_of_several_ticks_is_their_mean_and_belongs_to_its_middle() {
     for decimation in [1u32, 2] {
-        let mut window = MeasurementWindow::<2>::new(decimation);
+        let mut window = MeasurementWindow::<2>::new(decimation, DELAY as u32);
         let mut rows = 0;
         for tick in 0..400 {
             let t = 1e-3 * tick as f32;
@@ -62,14 +98,14 @@ fn a_sample_of_several_ticks_is_their_mean_and_belongs_to_its_middle() {
 #[test]
 fn cogging_passes_the_filter_with_the_stated_gain() {
     for angle in [0.01f32, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.6] {
-        let mut window = MeasurementWindow::<2>::new(1);
+        let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
         for tick in 0..TAPS {
             let phase = angle * (tick as f32 - DELAY as f32);
             window.push(Some(&at(phase.cos(), tick as f32)));
         }
         let seen = window.conditioned(1.0).expect("the window is full");
         let gain = -seen.motion.qdd[0] / (angle * angle);
-        let stated = cogging_attenuation(angle);
+        let stated = cogging_attenuation(angle, TAPS as u32);
         let allowed = if angle > 0.3 { 0.05 } else { 0.01 };
         let error = (gain - stated).abs();
         assert!(error < allowed, "{angle}: {gain} {stated}");
@@ -78,7 +114,7 @@ fn cogging_passes_the_filter_with_the_stated_gain() {
 
 #[test]
 fn another_period_scales_the_derivatives() {
-    let mut window = MeasurementWindow::<2>::new(1);
+    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
     for tick in 0..40 {
         window.push(Some(&at(0.001 * tick as f32, 0.0)));
     }
@@ -95,7 +131,7 @@ fn swinging(tick: usize) -> JointMeasurement<2> {
 fn outputs(
     arrives: impl Fn(usize) -> Option<JointMeasurement<2>>,
 ) -> std::vec::Vec<Option<ConditionedSample<2>>> {
-    let mut window = MeasurementWindow::<2>::new(1);
+    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
     let output = |tick| {
         window.push(arrives(tick).as_ref());
         window.conditioned(1e3)
@@ -165,7 +201,7 @@ fn measurements_of_uneven_age_give_rows_in_every_tick() {
 
 #[test]
 fn a_long_gap_empties_the_window() {
-    let mut window = MeasurementWindow::<2>::new(1);
+    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
     for tick in 0..50 {
         window.push(Some(&swinging(tick)));
     }
@@ -186,7 +222,7 @@ fn a_long_gap_empties_the_window() {
 
 #[test]
 fn after_a_long_gap_of_copies_the_window_fills_twice() {
-    let mut window = MeasurementWindow::<2>::new(1);
+    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
     (0..50).for_each(|tick| window.push(Some(&swinging(tick))));
     for _ in 0..=MAX_BRIDGED {
         window.push(Some(&swinging(49)));
@@ -203,7 +239,7 @@ fn after_a_long_gap_of_copies_the_window_fills_twice() {
 #[test]
 fn a_slower_sensor_leaves_rows_to_every_joint() {
     for (decimation, every) in [(1u32, 2), (2, 2), (4, 4), (6, 2), (6, 3)] {
-        let mut window = MeasurementWindow::<6>::new(decimation);
+        let mut window = MeasurementWindow::<6>::new(decimation, DELAY as u32);
         let mut rows = [0; 6];
         for tick in 0..3000_usize {
             let mut measured = JointMeasurement::<6>::zero();

@@ -143,7 +143,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 commit_due: false,
                 restored: false,
                 moves: false,
-                window: MeasurementWindow::new(config.decimation),
+                window: MeasurementWindow::new(config.decimation, config.delay),
                 next_tick: 0,
                 closed_round: None,
                 generation: None,
@@ -208,7 +208,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
     fn restart_configured(&mut self, prior: &ParameterSet<N, P>, start: &StartDeviations<N, P>) {
         self.state.statistics = LearnerStatistics::NONE;
         self.state.report = LearnerReport::new();
-        self.state.window = MeasurementWindow::new(self.config.decimation);
+        self.state.window = MeasurementWindow::new(self.config.decimation, self.config.delay);
         self.state.next_tick = 0;
         self.state.generation = None;
         self.start_from(prior, start);

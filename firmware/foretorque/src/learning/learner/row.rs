@@ -4,7 +4,7 @@ use super::{Learner, TorqueChanges, increment};
 use crate::arm::Arm;
 use crate::dynamics::Pose;
 use crate::joint::JointVector;
-use crate::learning::conditioning::{ConditionedSample, cogging_attenuation};
+use crate::learning::conditioning::{ConditionedSample, cogging_attenuation, taps};
 use crate::learning::config::LearnerConfig;
 use crate::learning::decision::Reason;
 use crate::learning::estimator::torque_row_at;
@@ -244,7 +244,8 @@ pub(super) fn joint_attenuation<A: Arm<N, P>, const N: usize, const P: usize>(
     qd: f32,
 ) -> f32 {
     let cycles = A::cogging_cycles().get(joint).copied().unwrap_or(0.0);
-    cogging_attenuation(cycles * qd * config.decimation as f32 / config.inv_period)
+    let angle = cycles * qd * config.decimation as f32 / config.inv_period;
+    cogging_attenuation(angle, taps(config.delay))
 }
 
 /// Extend `range` towards the motion of a used row.

@@ -3,7 +3,7 @@ use crate::arm::ur5::Ur5;
 use crate::dynamics::{BaseParameters, DISSIPATION_BOUNDS, FrictionColumn, rnea};
 use crate::joint::{JointMeasurement, JointMotion, JointVector};
 use crate::learning::Request;
-use crate::learning::conditioning::{MAX_BRIDGED, TAPS};
+use crate::learning::conditioning::MAX_BRIDGED;
 use crate::learning::parameters::dot;
 use crate::learning::payload::{NO_PAYLOAD, payload_base};
 use crate::learning::supervisor::payload_test::PayloadDecision;
@@ -111,7 +111,7 @@ fn flagged_ticks_freeze_learning_for_a_window() {
         let mut learner = learner();
         learn_ticks(&mut learner, 0..90, true);
         let before = (learner.state.estimate, learner.state.active);
-        let window = TAPS as u32 * learner.config.decimation;
+        let window = learner.config.filter_ticks();
         let sample = moving(90);
         learner.study(&LearningSample {
             flags: flag,
@@ -334,8 +334,15 @@ fn an_invalid_configuration_is_refused() {
         checked(|it| it.network.hidden_rate = f32::NAN),
         out_of_range
     );
-    let too_large = Err(ConfigError::TooLarge("decimation"));
-    assert_eq!(checked(|it| it.decimation = N as u32 + 1), too_large);
+    let too_large = Err(ConfigError::TooLarge("delay"));
+    assert_eq!(
+        [checked(|it| it.delay = 1), checked(|it| it.delay = 16)],
+        [too_large; 2]
+    );
+    for period_s in [1.0, 1e-6] {
+        let config = LearnerConfig::<N, P>::for_arm::<Ur5>(period_s);
+        assert_eq!(config.validate(), Err(ConfigError::TooLarge("inv_period")));
+    }
     let no_period = LearnerConfig::<N, P>::for_arm::<Ur5>(0.0);
     assert!(no_period.validate().is_err());
     let mut learner = learner();
@@ -343,7 +350,10 @@ fn an_invalid_configuration_is_refused() {
         let restarted = learner.restart_for_arm(period_s, &prior(), &StartDeviations::PRIOR);
         assert_eq!(restarted, Err(ConfigError::TooLarge("period_s")));
     }
-    assert!(learner.state.window == MeasurementWindow::new(learner.config.decimation));
+    assert!(
+        learner.state.window
+            == MeasurementWindow::new(learner.config.decimation, learner.config.delay)
+    );
 }
 
 #[test]
@@ -567,12 +577,32 @@ fn friction_learnt_under_a_payload_leaves_the_evidence_of_before_little_weight()
     }
 }
 
-/// Samples of eight ticks, as no configuration of six joints has them: in some of its turns a joint has none.
+#[test]
+fn a_release_keeps_the_covariance_unless_most_of_it_is_of_the_payload() {
+    for (rows_before, blocks, kept) in [(0, true, false), (0, false, true), (2000, true, true)] {
+        let mut learner = learner();
+        learn_ticks(&mut learner, 0..600, true);
+        let pause = learner.config.supervisor.pause_blocks;
+        let supervisor = &mut learner.state.supervisor;
+        supervisor.carries_payload = true;
+        supervisor.rows_before = rows_before;
+        supervisor.blocks_carried = if blocks { pause } else { pause - 1 };
+        let before = *learner.state.estimate.filter();
+        learner.end_payload_test(600, PayloadDecision::Release);
+        let after = *learner.state.estimate.filter();
+        assert_eq!(after == before, kept, "{rows_before} {blocks}");
+        // Rows are used again when the prior covariance is back.
+        learn_ticks(&mut learner, 600..1200, true);
+        assert!(*learner.state.estimate.filter() != after);
+    }
+}
+
+/// Samples of eight ticks: in some of its turns a joint has none.
 #[test]
 fn time_passes_where_a_joint_has_no_row_in_some_turns() {
     let mut learner = learner();
     learner.config.decimation = 8;
-    learner.state.window = MeasurementWindow::new(8);
+    learner.state.window = MeasurementWindow::new(8, 15);
     learn_ticks(&mut learner, 0..600, true);
     relearn(&mut learner);
     learn_ticks(&mut learner, 600..3600, true);

@@ -4,7 +4,6 @@ use super::{Learner, LearnerState};
 use crate::arm::Arm;
 use crate::dynamics::{FRICTION_COLUMNS, FrictionParameters};
 use crate::learning::change_detection::ChangeDetector;
-use crate::learning::conditioning::TAPS;
 use crate::learning::config::LearnerConfig;
 use crate::learning::decision::Reason;
 use crate::learning::exchange::{LearningSample, Request};
@@ -48,7 +47,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 state.record(sample.tick, reason, None, 0.0);
             }
             state.frozen = Some(reason);
-            state.resume_in = TAPS as u32 * self.config.decimation;
+            state.resume_in = self.config.filter_ticks();
         } else if state.frozen.is_some() {
             state.resume_in = state.resume_in.saturating_sub(1);
             if state.resume_in == 0 {
@@ -96,6 +95,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 // Rows of the window contain the body. Under a payload the checkpoint of before it is kept for the release.
                 if !supervisor.carries_payload {
                     supervisor.checkpoints[1] = supervisor.before_payload;
+                    supervisor.rows_before = supervisor.rows;
                 } else {
                     supervisor.fade_evidence_of_before(&self.config);
                 }
@@ -280,6 +280,7 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         self.trainer.reset(network);
         self.supervisor.learnt = *learnt;
         self.estimate.move_to(&learnt.set);
+        self.estimate.reset_covariance();
         // A payload that is released later restores these.
         let before = &mut self.supervisor.before_payload;
         (before.estimate, before.learnt) = (learnt.set, *learnt);
@@ -322,7 +323,8 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
 
     /// Remove the payload and restore the rigid-body parameters of before it, bit for bit.
     ///
-    /// Friction stays: it changes only under a payload carried for long, and drives warm up with any load.
+    /// Friction stays: it changes only under a payload carried for long, and drives warm up with any load. The covariance stays
+    /// too, unless most of its rows are of such a payload.
     fn release_payload(&mut self, config: &LearnerConfig<N, P>) {
         let supervisor = &mut self.supervisor;
         supervisor.payload = NO_PAYLOAD;
@@ -337,6 +339,11 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         // A set committed on request contains part of the payload.
         self.commit_due |= before.learnt.set.rigid != supervisor.learnt.set.rigid;
         supervisor.checkpoints[1] = *before;
+        // Most of what the covariance knows is of the rigid body with the payload.
+        let learnt_under_it = supervisor.blocks_carried >= config.supervisor.pause_blocks;
+        if learnt_under_it && supervisor.rows / 2 > supervisor.rows_before {
+            self.estimate.reset_covariance();
+        }
         self.restore();
     }
 

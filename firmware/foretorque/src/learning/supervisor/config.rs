@@ -1,6 +1,6 @@
 use crate::arm::Arm;
 use crate::learning::change_detection::DetectorConfig;
-use crate::learning::payload::{MAX_COM_DISTANCE, Payload, rated_payload};
+use crate::learning::payload::{Payload, max_com_distance, rated_payload};
 use crate::learning::{ConfigError, check_positive};
 
 /// Thresholds of the learning supervisor.
@@ -113,7 +113,7 @@ impl SupervisorConfig {
             },
             max_payload_mass: 1.2 * rated,
             min_payload_mass: 0.05 * rated,
-            max_com_distance: MAX_COM_DISTANCE,
+            max_com_distance: max_com_distance::<A, N, P>(),
             max_mass_sigma: 0.03 * rated,
             payload_evidence: 60.0,
             lasting_blocks: blocks(1.5),
@@ -166,6 +166,12 @@ impl SupervisorConfig {
             ("block_ticks", self.block_ticks as f32),
             ("decision_blocks", self.decision_blocks as f32),
             ("timeout_blocks", self.timeout_blocks as f32),
+            ("payload_update_blocks", self.payload_update_blocks as f32),
+            ("pause_blocks", self.pause_blocks as f32),
+            ("relearning_ticks", self.relearning_ticks as f32),
+            ("commit_ticks", self.commit_ticks as f32),
+            ("training_rows", self.training_rows as f32),
+            ("following_share", self.following_share.0),
         ])
     }
 }

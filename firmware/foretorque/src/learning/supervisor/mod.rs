@@ -64,6 +64,8 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     pub(super) block_variance: [(f32, u32); N],
     /// Rows used since the load.
     pub(super) rows: u32,
+    /// Those of before the payload in the torque.
+    pub(super) rows_before: u32,
     pub(super) carries_payload: bool,
     /// Checkpoint of before the payload in the torque; without one, of before the window of the payload test.
     pub(super) before_payload: Checkpoint<N, P>,
@@ -102,6 +104,7 @@ impl<const N: usize, const P: usize> Supervisor<N, P> {
             payload_test: PayloadHypothesisTest::new(config, &NO_PAYLOAD),
             block_variance: [(1.0, 0); N],
             rows: 0,
+            rows_before: 0,
             carries_payload: false,
             before_payload: checkpoint,
             checkpoints: [checkpoint; 2],
@@ -242,6 +245,21 @@ mod tests {
         );
         supervisor.restart(&config, &LinearParameters::filled(0.0));
         assert!(!supervisor.pauses_estimate(&config));
+        // Rows of one joint alone never promote.
+        for _ in 0..config.timeout_blocks {
+            add_rows(&mut supervisor, [&NO_PAYLOAD, &body], [0.1, 20.0]);
+            let _ = supervisor.payload_test.decide(&config, false, true, 0.0);
+            assert!(!supervisor.pauses_estimate(&config));
+        }
+        supervisor.restart(&config, &LinearParameters::filled(0.0));
+        for _ in 0..config.timeout_blocks {
+            let mut row = NO_PAYLOAD;
+            row[0] = 10.0;
+            let (test, torques) = (&mut supervisor.payload_test, [20.0; 2]);
+            (0..9).for_each(|_| test.add_row(1, &NO_PAYLOAD, &row, torques, [0.1, 20.0]));
+            let _ = test.decide(&config, false, false, 0.0);
+            assert!(!supervisor.pauses_estimate(&config), "rows of one joint");
+        }
     }
 
     #[test]

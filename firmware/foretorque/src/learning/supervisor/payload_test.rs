@@ -256,8 +256,7 @@ impl<const N: usize> PayloadHypothesisTest<N> {
         let (evidence, of_others) = self.evidence();
         let evident = evidence > config.payload_evidence && of_others > EVIDENCE_OF_OTHERS;
         let rejection = self.rejection(config, evident, quiet, [current, hypothesis]);
-        self.undecided =
-            matches!(rejection, Some((Reason::Uncertain, _))) && evidence > config.payload_evidence;
+        self.undecided = matches!(rejection, Some((Reason::Uncertain, _))) && evident && !single;
         self.empty_cusum = self.empty_cusum.max(0.0);
         let body = !matches!(rejection, Some((Reason::Implausible, _)));
         let gone = carries_payload

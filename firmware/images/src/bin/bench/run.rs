@@ -11,7 +11,9 @@ use stm32f4xx_hal::pac::TIM2;
 
 use crate::bus::Bus;
 use crate::commands::Link;
-use crate::stage::{ARM_ROWS, LINK_ROWS, LINKS, Paper, Parts, Row, Stage, feedforward_step};
+use crate::stage::{
+    ARM_ROWS, LINK_ROWS, LINKS, Paper, Parts, Row, Stage, feedforward_step, learning_step,
+};
 
 /// Calls of each row when the command line names no number.
 const CALLS: u32 = 64;
@@ -72,8 +74,8 @@ fn count_row(row: &Row, calls: u32, parts: Parts) -> Option<Parts> {
     place.map(|stage| (stage.learner, stage.link, stage.bus, stage.paper))
 }
 
-/// Instructions of `FeedForward::step` over `ticks` samples, no two alike, with the learner at work between them: least, sum
-/// and most. It shows whether the cost of the tick depends on its input.
+/// Instructions of `FeedForward::step` and of the learning step after it over `ticks` samples, no two alike: least, sum and
+/// most of each. It shows whether their cost depends on the input, and on what the learner decides.
 ///
 /// The arm's smooth motion is broken every third tick by a random state, which leaves the range that was learnt and
 /// slews the torque, every eleventh by a missing measurement. Ticks whose desired motion is no number do less and are
@@ -83,7 +85,7 @@ fn count_long_run(ticks: u32, parts: Parts) -> Option<()> {
     let mut place = Stage::new(parts);
     let stage = place.as_mut()?;
     stage.warm_up();
-    let (mut least, mut sum, mut most) = (u32::MAX, 0, 0);
+    let (mut tick_cost, mut learning_cost) = (Spread::NONE, Spread::NONE);
     for tick in 0..ticks {
         stage.vary();
         if tick % 3 == 2 {
@@ -93,15 +95,32 @@ fn count_long_run(ticks: u32, parts: Parts) -> Option<()> {
             stage.sample.measured = None;
         }
         stage.feedforward.adopt(&mut stage.exchange);
-        let counted = count(feedforward_step, stage);
-        least = least.min(counted);
-        sum += u64::from(counted);
-        most = most.max(counted);
-        let learning_sample = stage.feedforward.learning_sample(stage.sample.measured);
-        stage.learner.learn(&learning_sample, &mut stage.exchange);
+        tick_cost.add(count(feedforward_step, stage));
+        stage.learning_sample = stage.feedforward.learning_sample(stage.sample.measured);
+        learning_cost.add(count(learning_step, stage));
     }
-    hprintln!("feedforward_step {} {} {}", least, sum, most);
+    learning_cost.print("learning_step");
+    tick_cost.print("feedforward_step");
     Some(())
+}
+
+/// Least, sum and most of some counts.
+struct Spread(u32, u64, u32);
+
+impl Spread {
+    const NONE: Self = Self(u32::MAX, 0, 0);
+
+    fn add(&mut self, count: u32) {
+        *self = Self(
+            self.0.min(count),
+            self.1 + u64::from(count),
+            self.2.max(count),
+        );
+    }
+
+    fn print(&self, row: &str) {
+        hprintln!("{} {} {} {}", row, self.0, self.1, self.2);
+    }
 }
 
 /// Lets TIM2 run freely.

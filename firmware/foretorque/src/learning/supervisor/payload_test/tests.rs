@@ -1,6 +1,6 @@
 use super::*;
 use crate::arm::ur5::{LearnerConfig, Ur5};
-use crate::learning::payload::{MAX_COM_DISTANCE, NO_PAYLOAD};
+use crate::learning::payload::NO_PAYLOAD;
 
 fn config() -> SupervisorConfig {
     LearnerConfig::for_arm::<Ur5>(1e-3).supervisor
@@ -61,7 +61,10 @@ fn every_disturbance_has_its_decision() {
     let config = config();
     let of = |mass: f32, [x, y, z]: [f32; 3]| [mass, mass * x, mass * y, mass * z, 0.0, 0.0, 0.0];
     let two = of(2.0, [0.05; 3]);
-    let (far, light) = (1.02 * MAX_COM_DISTANCE, 0.9 * config.min_payload_mass);
+    let (far, light) = (
+        1.02 * config.max_com_distance,
+        0.9 * config.min_payload_mass,
+    );
     let heavy = of(1.01 * config.max_payload_mass, [0.0; 3]);
     // A first moment without mass explains much that an empty hand does not.
     let mut pulled = NO_PAYLOAD;
