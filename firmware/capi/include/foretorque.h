@@ -232,7 +232,7 @@ ForetorqueStatus foretorque_decision(struct Foretorque *it,
 
 // Runs one tick without the safety: its torque is for a caller that has a safety of its own. A null `sample` means that none
 // came: the torque is then held for 10 ms, and goes to zero after that. The time of the safety does not pass here: use either
-// this call or `foretorque_tick`.
+// this call or `foretorque_tick`. The torque is zero while `foretorque_stop` has latched a fault.
 //
 // # Safety
 // `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or a whole struct that may be read,

@@ -111,7 +111,7 @@ impl Foretorque {
 
     fn step(&mut self, mut sample: Option<JointSample<JOINTS>>, guarded: bool) -> ForetorqueTorque {
         self.feed_forward.adopt(&mut self.exchange);
-        let torque = if guarded {
+        let mut torque = if guarded {
             self.safety.period();
             sample = self.safety.admit(sample, 1, SafetyReason::None);
             self.safety.step(&mut self.feed_forward, sample.as_ref())
@@ -121,6 +121,10 @@ impl Foretorque {
                 None => self.feed_forward.step_stale(),
             }
         };
+        if !guarded && self.safety.latched() != SafetyReason::None {
+            torque.total = JointVector::zeros();
+            self.feed_forward.applied(&torque.total);
+        }
         let measured = sample.and_then(|sample| sample.measured);
         self.pending = Some(self.feed_forward.learning_sample(measured));
         let array = |vector: JointVector<JOINTS>| vector.into();
@@ -324,7 +328,7 @@ pub extern "C" fn foretorque_decision(
 
 /// Runs one tick without the safety: its torque is for a caller that has a safety of its own. A null `sample` means that none
 /// came: the torque is then held for 10 ms, and goes to zero after that. The time of the safety does not pass here: use either
-/// this call or `foretorque_tick`.
+/// this call or `foretorque_tick`. The torque is zero while `foretorque_stop` has latched a fault.
 ///
 /// # Safety
 /// `it` comes from `foretorque_init`, and no other call on it is under way; `sample` is null or a whole struct that may be read,

@@ -212,7 +212,15 @@ fn a_stop_is_immediate_and_a_brake_gets_its_time() {
     assert_eq!((safety.enabled, safety.latched), (0, stopped));
     assert_eq!(program.tick(Some(0.0), 1).total_nm, NO_TORQUE);
     assert_eq!(program.arm(), SafetyReason::Stopped);
+    // The tick of a caller that has a safety of its own, too.
+    let sample = MaybeUninit::new(ForetorqueSample::default());
+    // SAFETY: the sample is initialised.
+    let step = |it: Option<&mut Foretorque>, out: Option<&mut MaybeUninit<ForetorqueTorque>>| unsafe {
+        foretorque_step(it, Some(&sample), out)
+    };
+    assert_eq!(program.written(step).total_nm, NO_TORQUE);
     program.written(|it, out| foretorque_clear_fault(it, out));
+    assert_ne!(program.written(step).total_nm, NO_TORQUE);
     assert_eq!(foretorque_set_brake(program.it(), 100_000), Ok);
     program.start();
     assert_eq!(program.safety().brake_released, 1);

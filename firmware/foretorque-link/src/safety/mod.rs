@@ -196,6 +196,13 @@ impl<const N: usize> Safety<N> {
     ) -> Option<JointSample<N>> {
         let admitted = self.input.take(&self.limits, sample, periods, sensor);
         self.supervise();
+        if self.state == SafetyState::Armed && self.unconfirmed && self.input.arrived() {
+            // The arm or the desired motion may have moved since the samples that armed the board.
+            match self.input.allows_torque() {
+                Ok(()) => self.unconfirmed = false,
+                Err(reason) => self.end(reason),
+            }
+        }
         admitted
     }
 
@@ -212,12 +219,6 @@ impl<const N: usize> Safety<N> {
             } else {
                 self.end(reason);
             }
-        } else if self.unconfirmed && self.input.arrived() {
-            // The arm or the desired motion may have moved since the samples that armed the board.
-            match self.input.allows_torque() {
-                Ok(()) => self.unconfirmed = false,
-                Err(reason) => self.end(reason),
-            }
         }
     }
 
@@ -231,8 +232,10 @@ impl<const N: usize> Safety<N> {
     /// Torque of this tick, N × N·m: `wanted` within the hard limits, a ramp to zero, or zero. All calls of one period
     /// together change it by no more than one slew step.
     ///
-    /// Finite for any bits in `wanted`.
+    /// Finite for any bits in `wanted`. Old input and a hot motor end the torque here, too: an owner without a sample may leave
+    /// out [`admit`](Self::admit).
     pub fn release(&mut self, wanted: &JointVector<N>) -> JointVector<N> {
+        self.supervise();
         if !wanted.iter().all(|torque| torque.is_finite()) {
             self.check(SafetyReason::TorqueNotFinite);
         }

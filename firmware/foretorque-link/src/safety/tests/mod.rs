@@ -51,7 +51,6 @@ fn tick(safety: &mut Safety<N>, sample: Option<JointSample<N>>) -> JointVector<N
 /// A period in which samples pace the board and none arrives.
 fn silence(safety: &mut Safety<N>) {
     safety.period();
-    safety.supervise();
     let held = *safety.output();
     safety.release(&held);
 }
