@@ -6,9 +6,10 @@
 //! tau = rigid(beta) + friction(phi) + network(w)
 //! ```
 //!
-//! The rest of the period is for learning: a recursive estimator updates the base parameters and the friction, and
-//! incremental back-propagation updates the network. The method is that of Y. Zhong, *Identification of Robot Dynamic
-//! Parameters Based on BP Neural Network*; "eq." on these pages counts its equations.
+//! The rest of the period is for learning: a recursive estimator updates the base parameters and the friction. Of the
+//! networks, incremental back-propagation updates the hidden layer, and a Kalman filter the output layer. The method is that
+//! of Y. Zhong, *Identification of Robot Dynamic Parameters Based on BP Neural Network*; "eq." on these pages counts its
+//! equations.
 //!
 //! The crate is for control engineers with a serial arm of one to eight revolute joints, and drives that accept a torque
 //! beside their own position loop. It needs the desired motion one period ahead, and the position and torque of every
@@ -44,16 +45,17 @@
 //! has no room for a learner on its stack: there a static [`Learner::EMPTY`](learning::Learner::EMPTY) is restarted in place.
 //!
 //! # Modules
-//! Dependencies point down the table only.
+//! A module uses those above it. Two uses point down: [`arm`] has the vector of base parameters and the largest number of
+//! joints from [`dynamics`], and the module of an arm has type aliases of [`learning`] and [`feedforward`].
 //!
 //! | module | content |
 //! |---|---|
-//! | [`math`] | f32 kernels: sine and cosine, tanh, exp |
+//! | [`math`], [`limits`] | f32 kernels: sine and cosine, tanh, exp; limits and flags of a torque |
 //! | [`joint`], [`arm`] | joint vectors and samples; an arm as constants |
 //! | [`dynamics`] | rigid-body torque (recursive Newton–Euler), regressor rows, friction |
 //! | [`network`] | the back-propagation network and its gradient |
 //! | [`learning`] | recursive estimation, supervision, payload, training of the networks |
-//! | [`feedforward`], [`limits`] | the tick: shares, checks, limits, flags |
+//! | [`feedforward`] | the tick: shares, checks, limits, flags |
 //!
 //! Wire format, parameter banks, storage and the safety state machine are in the crate `foretorque-link`.
 //!
@@ -61,7 +63,7 @@
 //! * `no_std`, no allocation, no `unsafe`; memory is of fixed size.
 //! * A tick takes fixed time. No input makes it panic, and every torque is finite and within the arm's limits.
 //! * The learnt part of a torque is bounded, visible on its own ([`FeedForward::learnt_torque`](feedforward::FeedForward::learnt_torque)), and removable in one call.
-//! * Host and Cortex-M4F compute the same bits.
+//! * Host and emulated Cortex-M4F compute the same bits. Nothing ran on silicon.
 //!
 //! # Features
 //! * `defmt`: errors, flags and requests implement `defmt::Format`. Off by default.

@@ -31,7 +31,7 @@ pub(crate) struct Line {
     pub(crate) limit: u64,
     /// Goal of this project, written by a person.
     pub(crate) reach: Option<u64>,
-    /// The best published figure of others, measured as ours are, and whose it is: written by a person.
+    /// The best figure of others, measured outside this repository, and whose it is: written by a person.
     pub(crate) peer: Option<u64>,
     pub(crate) who: String,
     how: String,

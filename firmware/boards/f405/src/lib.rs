@@ -13,7 +13,7 @@
 //! | [`image`] | check of the program in flash |
 //! | [`flash_driver`], `key_slot`, `tick_timer`, `watchdog` | flash, write key, timer and watchdog of the chip |
 //!
-//! Another board is a file beside these and a binary that names it.
+//! Another board is a file beside these, a `pub mod` below and a binary that names it.
 #![cfg_attr(not(test), no_std)]
 
 /// The `main` of a firmware on the host: the name of what it is.

@@ -45,7 +45,7 @@ const TORQUES: usize = DELAY + 1 + AVERAGED / 2;
 pub struct ConditionedSample<const N: usize> {
     /// Position, velocity and acceleration of the fitted quadratic.
     pub motion: JointMotion<N>,
-    /// Mean of the torques around that instant; noise of means without common samples is white.
+    /// Mean of the torques around that instant, N × N·m. White noise stays white in means without common ticks.
     pub tau: JointVector<N>,
 }
 
@@ -134,9 +134,11 @@ impl<const N: usize> MeasurementWindow<N> {
         self.filled >= taps(self.delay) as usize
     }
 
-    /// True if the joints can be at `q` in the next tick: an encoder error is not.
+    /// True if every joint can be at `q`: it has moved by at most its step for each tick since the last measurement. Else an
+    /// encoder errs.
     ///
-    /// * `steps` largest change of each joint in a tick, rad
+    /// * `steps` largest plausible change of each joint in a tick, rad; the learner gives that of a whole sample at twice the
+    ///   velocity limit
     pub(super) fn reaches(&self, q: &JointVector<N>, steps: impl Iterator<Item = f32>) -> bool {
         let ticks = (self.gap + 1) as f32;
         let changes = q.iter().zip(&self.last.q).map(|(q, last)| (q - last).abs());

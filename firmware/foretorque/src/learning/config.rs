@@ -7,14 +7,14 @@ use super::{ConfigError, check_positive};
 use crate::arm::{Arm, ArmModel, table};
 use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
 
-/// Time in which friction as large as its prior standard deviation changes by that with temperature, grease and wear, s:
-/// 17 hours.
+/// Time in motion in which friction as large as its prior standard deviation changes by that with temperature, grease and
+/// wear, s: 17 hours.
 const FRICTION_CHANGE_S: f32 = 6e4;
 
 /// Ticks per second of a learner, 1/s.
 const RATES: core::ops::RangeInclusive<f32> = 10.0..=1e5;
-/// Length of a sample of the motion filter, s, and the largest: an arm of 8 joints has it at 1 kHz. Longer filters
-/// flatten its motion.
+/// Length of a sample of the motion filter, s, and the largest, for coarse encoders: longer filters flatten the motion of the
+/// arm.
 const SAMPLE_S: f32 = 2e-3;
 const LONGEST_SAMPLE_S: f32 = 8e-3;
 /// Time over which disturbances of rows are correlated: rows of 6 joints at 1 kHz have at least three times the noise of
@@ -39,11 +39,12 @@ pub struct LearnerConfig<const N: usize, const P: usize> {
     /// Bound of an innovation, standard deviations; larger ones count as this many, and leave the covariance as it is.
     pub outlier_sigmas: f32,
     /// Factor on the noise of a row in the update of the estimate, because rows are correlated: the least of real arms with
-    /// 6 joints, 3, and more for rows that follow one another sooner. The measured correlation is no measure of it: errors of the estimate are correlated, too. They would
-    /// count as noise where the prior is too narrow, slow the estimate down, and so last.
+    /// 6 joints, 3, and more for rows that follow one another sooner. The measured correlation is no measure of it: errors of
+    /// the estimate are correlated, too. They would count as noise where the prior is too narrow, slow the estimate down, and
+    /// so last.
     pub noise_inflation: f32,
-    /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long; up to 8 ms for
-    /// an encoder with less than four steps in that time at 0.05 rad/s.
+    /// Ticks averaged to one sample of the motion filter: samples of 2 ms, so that the filter is 62 ms long; up to 8 ms, and
+    /// so 248 ms, for an encoder with less than four steps in the filter at 0.05 rad/s.
     pub decimation: u32,
     /// Delay of the motion filter, samples: 15, and 2 at least; fewer where a tick is longer than a sample, for the filter to
     /// keep its length.

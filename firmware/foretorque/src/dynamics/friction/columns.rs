@@ -45,6 +45,10 @@ impl FrictionPrior {
 }
 
 /// Bound of the parameter of a column that keeps friction dissipative.
+///
+/// Assumes: the basis of a column with a bound is odd in the speed, that of one without does not depend on it, and only
+/// [`FrictionColumn::Load`] depends on the load, in proportion to its size. The tick derives from this the columns beyond the
+/// learnt range (`feedforward/model.rs`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FrictionBound {
     /// Not negative.

@@ -6,7 +6,7 @@ use crate::learning::{ConfigError, check_positive};
 /// Thresholds of the learning supervisor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SupervisorConfig {
-    /// Length of a block, ticks: about 10 ms.
+    /// Length of a block, ticks: about 10 ms, and N + 1 at least.
     pub block_ticks: u32,
     /// Change detection.
     pub detector: DetectorConfig,
@@ -47,8 +47,8 @@ pub struct SupervisorConfig {
     pub raised_variance: f32,
     /// Blocks under a payload after which the estimate is updated again: 30 s, in which drives warm up.
     pub pause_blocks: u32,
-    /// Rows that show the arm as it is: after them, torques that oppose the loaded set are reversed, and networks are trained
-    /// on the residual of a joint whose learnt share stays small.
+    /// Rows of all joints that show the arm as it is: after them, torques that oppose the loaded set are reversed, and networks
+    /// are trained on the residual of a joint whose learnt share stays small.
     pub training_rows: u32,
     /// Trust below which the flag is set.
     pub trust_floor: f32,
