@@ -286,7 +286,10 @@ fn study<R: Serialize>(
     let page = files.finish(&outcome.report, &outcome.page)?;
     show!("{}", outcome.text.trim_end())?;
     show!("report {}", page.display())?;
-    snapshot.keep(&outcome.text)
+    match outcome.broken {
+        Some(reason) => Err(unusable(reason)),
+        None => snapshot.keep(&outcome.text),
+    }
 }
 
 impl Jobs {
@@ -378,15 +381,9 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
         board_ticks: arguments.board_ticks.get(),
     };
     let choice = &arguments.board;
-    let mut failed = None;
-    let mut soak = |board: Option<&mut _>, progress: Progress<'_>| {
-        let outcome = soak::run(&config, board, progress)?;
-        failed = outcome.report.failure();
-        Ok(outcome)
-    };
     arguments.out.study(|progress| {
         if *choice == BoardChoice::Native {
-            return soak(None, progress);
+            return Ok(soak::run(&config, None, progress)?);
         }
         let mut board = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
@@ -398,7 +395,6 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
             )),
             other => other.into(),
         })?;
-        soak(Some(&mut board), progress)
-    })?;
-    failed.map_or(Ok(()), |reason| Err(unusable(reason)))
+        Ok(soak::run(&config, Some(&mut board), progress)?)
+    })
 }

@@ -121,7 +121,12 @@ pub(super) fn run(
     );
     let section = commands.fold(section, |section, line| section.command(line.trim()));
     page = page.sections([section]);
-    Ok(Outcome { report, page, text })
+    Ok(Outcome {
+        report,
+        page,
+        text,
+        broken: None,
+    })
 }
 
 fn fit(

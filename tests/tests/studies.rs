@@ -87,6 +87,7 @@ fn six_seconds_of_learning_halve_the_torque_error_and_runs_repeat() {
     let tracking = &report.tracking_rms_mrad;
     assert!(tracking.after < tracking.before && tracking.before < tracking.pd_only);
     assert_eq!(report.link.errors, 0);
+    assert_eq!(outcome.broken, None);
     let usart = report.usart.as_ref().expect("a second board was given");
     assert_eq!(usart.ticks_with_equal_bits, usart.ticks);
     assert!(usart.torque_nrmse_after < usart.torque_nrmse_before);

@@ -9,7 +9,7 @@
 #define TICKS 300
 
 /* The caller owns the memory. foretorque_size() is how much is needed; it is checked below. */
-static _Alignas(8) unsigned char memory[48 * 1024];
+static _Alignas(8) unsigned char memory[80 * 1024];
 
 /* Numbers that another machine can make exactly: a linear congruence, and sums and products of f32 with no fused steps. */
 static uint32_t state = 1;

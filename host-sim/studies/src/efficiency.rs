@@ -215,5 +215,6 @@ fn outcome(report: EfficiencyReport) -> Outcome<EfficiencyReport> {
         text: lines.collect(),
         page,
         report,
+        broken: None,
     }
 }

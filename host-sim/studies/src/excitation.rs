@@ -164,10 +164,12 @@ fn outcome(config: ExcitationConfig, seeds: Vec<SeedRecord>) -> Outcome<Excitati
     let condition = report.worst_condition_number_dh;
     text += &line("worst", percent, condition, report.violations);
     text += &format!(" on {} points each\n", report.config.points);
+    let violations = report.violations;
     Outcome {
         page: page(&report),
         report,
         text,
+        broken: (violations > 0).then(|| format!("{violations} limits are broken")),
     }
 }
 

@@ -37,6 +37,8 @@ pub struct Outcome<R> {
     pub page: Page,
     /// The main figures as lines of text; no line depends on the machine.
     pub text: String,
+    /// A promise that the study has seen broken: its command fails.
+    pub broken: Option<String>,
 }
 
 /// Failure of a study: a sentence of its own, or the error of a board, a file, a log or an identification.

@@ -210,5 +210,10 @@ fn outcome(report: RealReport) -> Outcome<RealReport> {
     let lines = lines.map(|own| format!("{:<12} {:.3}\n", own.path, own.geometric_mean_vs_wls));
     let text = lines.collect::<String>()
         + &format!("{recommended} over {reference}: {mean:.3}, worst path {worst:.3}\n");
-    Outcome { report, page, text }
+    Outcome {
+        report,
+        page,
+        text,
+        broken: None,
+    }
 }

@@ -33,6 +33,7 @@ pub fn run(
     Ok(Outcome {
         page: page::page(&report, &curves, &setup.series),
         text: report.summary(),
+        broken: report.broken(),
         report,
     })
 }
@@ -86,6 +87,15 @@ impl DemoReport {
     /// Arm time with learning on, long run, s.
     fn learning_s(&self) -> f64 {
         self.ticks as f64 * self.period_s
+    }
+
+    /// Frames that were lost or damaged, and ticks of the two boards that differ.
+    fn broken(&self) -> Option<String> {
+        let usart = self.usart.as_ref();
+        let errors = self.link.errors + usart.map_or(0, |usart| usart.link.errors);
+        let differ = usart.map_or(0, |usart| usart.ticks - usart.ticks_with_equal_bits);
+        let broken = errors > 0 || differ > 0;
+        broken.then(|| format!("{errors} errors of the link, {differ} ticks differ in bits"))
     }
 
     fn summary(&self) -> String {

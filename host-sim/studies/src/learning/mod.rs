@@ -121,6 +121,7 @@ pub fn run(
         page: page(&report, &world),
         text: text(&report),
         report,
+        broken: None,
     })
 }
 

@@ -244,6 +244,7 @@ fn outcome(report: SoakReport) -> Result<Outcome<SoakReport>, StudyError> {
     Ok(Outcome {
         text,
         page: Page::new("Soak", lead).sections([section]),
+        broken: report.failure(),
         report,
     })
 }

@@ -74,6 +74,7 @@ pub fn run(
         page: page::page(&report, &curves, &times),
         text: page::text(&report),
         report,
+        broken: None,
     }))
 }
 

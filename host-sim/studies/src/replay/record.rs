@@ -209,6 +209,7 @@ pub(super) fn outcome(report: ReplayReport) -> Outcome<ReplayReport> {
         text: lines.chain([worst, decisions]).collect(),
         page,
         report,
+        broken: None,
     }
 }
 
