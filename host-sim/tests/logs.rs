@@ -193,6 +193,13 @@ fn mistake(name: &str) -> Change {
         "turned velocity 4" => each(|row| row[Q + 6 + 3] *= -1.0),
         "no velocities" => scale(Q + 6..Q + 12, 0.0),
         "half accelerations" => scale(Q + 12..Q + 18, 0.5),
+        "swapped velocities" => {
+            Box::new(|rows| rows.iter_mut().for_each(|row| row.swap(Q + 6, Q + 10)))
+        }
+        "wrong torques" => Box::new(|rows| {
+            let wrong = rows.iter_mut().skip(500).step_by(500).take(3);
+            wrong.for_each(|row| row[TAU + 2] = 9999.0);
+        }),
         "noise" => Box::new(|rows| {
             let mut state = 1_u64;
             for tau in rows.iter_mut().flat_map(|row| &mut row[TAU..]) {
@@ -244,6 +251,7 @@ stuck torque | torque of joint 3 does not change from 7.500 to
 wrong position | q3 jumps at
 wrong torque | tau1 reaches 1000000.0 N·m at 7.500 s, its limit is 150 N·m: delete such rows
 torques for positions | positions and torques are swapped
+wrong torques | tau3 reaches 9999.0 N·m at 2.500 s, its limit is 150 N·m: delete such rows
 tenfold torque 4 | torque of joint 4 is
 thousandfold torque 3 | those of the others are nearer to theirs; drive gain, unit, or a limit of the description (--torque-limits)?
 late | ms behind the positions
@@ -262,6 +270,10 @@ noise | are noise: they follow neither the motion nor gravity";
         (
             "turned velocity 4",
             "logged velocities of joint 4 have the other sign",
+        ),
+        (
+            "swapped velocities",
+            "logged velocities of joint 1, 5 are not the change of their positions",
         ),
         (
             "no velocities",

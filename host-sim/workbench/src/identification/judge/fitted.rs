@@ -296,8 +296,15 @@ impl Flange {
                 "the torques of all joints are {scale:.2} ± {deviation:.2} times the description's: drive gains, unit (--units), or another arm?"
             );
         }
+        let [scale, _, share] = self.scale;
+        let more = match share > self.share {
+            true => &format!(
+                ", unless the torques of all joints are {scale:.2} times the true ones, which explains more (drive gains, --units)"
+            ),
+            false => "",
+        };
         format!(
-            "a payload of {mass:.2} ± {deviation:.2} kg at the flange explains what the description does not: add it to the description or take it off"
+            "a payload of {mass:.2} ± {deviation:.2} kg at the flange explains what the description does not: add it to the description or take it off{more}"
         )
     }
 }

@@ -74,7 +74,11 @@ pub(super) fn units(
     stuck(judgement, extremes);
     placeholders(judgement, robot.joints.iter().zip(extremes));
     let strong: Vec<_> = joints()
-        .filter(|(_, (joint, seen))| seen.rms() > BEYOND * joint.limits.torque)
+        .filter(|(_, (joint, seen))| {
+            let beyond = BEYOND * joint.limits.torque;
+            let few = seen.strong <= FEW * seen.rows;
+            seen.rms() > beyond || seen.torque > beyond && few
+        })
         .collect();
     if let Some((number, (joint, seen))) = strong.first() {
         let thousandth = 1e-3 * seen.torque <= BEYOND * joint.limits.torque;
@@ -190,7 +194,7 @@ fn rates(extremes: &[Extremes]) -> Option<String> {
         (("velocities", "accelerations"), CLEAR),
     ];
     let mapped = extremes.iter().any(|seen| seen.mapped);
-    signals
+    let found = signals
         .into_iter()
         .enumerate()
         .find_map(|(signal, (names, clear))| {
@@ -201,7 +205,28 @@ fn rates(extremes: &[Extremes]) -> Option<String> {
             let contradicts = mapped.then(|| contradiction(names, &rates)).flatten();
             rates.retain(|(_, rate)| rate.agreement() > clear);
             contradicts.or_else(|| other_scale(names, &rates))
-        })
+        });
+    let has_velocity = extremes.iter().any(Extremes::has_velocity);
+    found.or_else(|| {
+        (mapped && has_velocity)
+            .then(|| foreign(extremes))
+            .flatten()
+    })
+}
+
+/// Finding on velocities that are not those of their joint.
+fn foreign(extremes: &[Extremes]) -> Option<String> {
+    const COMMON: f64 = 0.5;
+    let foreign = |(joint, seen): (usize, &Extremes)| {
+        (seen.moved() && seen.ways.agreement() < COMMON).then(|| (joint + 1).to_string())
+    };
+    let joints: Vec<String> = extremes.iter().enumerate().filter_map(foreign).collect();
+    (!joints.is_empty()).then(|| {
+        format!(
+            "logged velocities of joint {} are not the change of their positions: columns of other joints? Mend qd_rad_s of --columns-from FILE, or leave it out",
+            joints.join(", ")
+        )
+    })
 }
 
 /// Finding on logged derivatives that are zero or of the other sign; joints from 1.

@@ -17,6 +17,8 @@ pub(super) const CUT_SHARE: (f64, f64) = (0.01, 0.05);
 const STUCK_S: f64 = 0.5;
 /// Time over which an arm is looked at to see whether it moves, s.
 const SPAN_S: f64 = 0.05;
+/// Least time of a way that positions and logged velocities are compared on, s.
+const WAY_S: f64 = 0.2;
 
 /// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
 #[derive(Clone, Copy, Default)]
@@ -39,6 +41,10 @@ pub(super) struct Extremes {
     pub(super) unchanged: [Unchanged; 2],
     /// Position by the logged velocity, rad.
     by_velocity: f64,
+    /// Time, position and position by the logged velocity from which a way is counted, and the ways by both: steps of an
+    /// encoder are small beside them.
+    way_from: Option<[f64; 3]>,
+    pub(super) ways: Rate,
     held: Held,
     /// Squares of the torque and of its second difference, and rows, while the arm moves: brakes may hold it at rest.
     power: f64,
@@ -328,6 +334,13 @@ pub(super) fn scan(
                 }
                 let logged = b.qd[joint];
                 sums.by_velocity += logged * (row.t_s - b.t_s);
+                let here = [row.t_s, q, sums.by_velocity];
+                let from = *sums.way_from.get_or_insert(here);
+                let [time_s, way, by_velocity] = [0, 1, 2].map(|k| here[k] - from[k]);
+                if time_s >= WAY_S {
+                    sums.ways.add(way, by_velocity);
+                    sums.way_from = Some(here);
+                }
                 let signals = [(q, logged, sums.by_velocity), (tau, qd, q)];
                 for (unchanged, (value, speed, place)) in sums.unchanged.iter_mut().zip(signals) {
                     let moves = f64::from(speed.abs() > MOVED.0);
@@ -356,6 +369,7 @@ pub(super) fn scan(
             } else {
                 sums.unchanged.iter_mut().for_each(Unchanged::pause);
                 sums.held = Held::at(q, row.t_s);
+                sums.way_from = None;
             }
         }
         if last.len() == 2 {
