@@ -120,7 +120,9 @@ impl<const N: usize> Bench<N> {
                         }
                     },
                 };
-                let figures = self.figures::<A, P>(&scenario, source, &bank, config)?;
+                let figures = self.figures::<A, P>(&scenario, source, &bank, config);
+                let run = format!("{}/{name}, seed {}", self.described.name, self.seed);
+                let figures = figures.map_err(|error| format!("{run}: {error}"))?;
                 reports.push(ScenarioReport {
                     arm: self.described.name.clone(),
                     scenario: name,

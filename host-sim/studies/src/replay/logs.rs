@@ -308,8 +308,8 @@ impl<const N: usize> Scores<N> {
         }
     }
 
-    /// Compares the newest parameters with the start in every window of `rows` rows of a log; errors are shares of `limits`,
-    /// N·m, so that a joint without load does not decide.
+    /// Compares the newest parameters with the start in every window of `rows` rows with motion of a log; errors are shares of
+    /// `limits`, N·m, so that a joint without load does not decide.
     pub(super) fn watch(
         &mut self,
         log: &[(&Stretch<N>, Predictions)],
@@ -320,7 +320,8 @@ impl<const N: usize> Scores<N> {
         let (mut sums, mut lost) = (vec![[[0.0; N]; 2]], vec![0]);
         let mut times = Vec::new();
         for (stretch, predicted) in log {
-            for (k, row) in stretch.rows.iter().enumerate() {
+            let rows = stretch.rows.iter().enumerate();
+            for (k, row) in rows.filter(|(_, row)| moving(row).next().is_some()) {
                 let (mut sum, mut finite) = (sums[sums.len() - 1], true);
                 for joint in moving(row) {
                     let torques = [&predicted.newest, &predicted.frozen];
