@@ -9,6 +9,7 @@ use clap::{Args, ValueEnum};
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusJoint, Role, Wires, Wiring};
 use foretorque_link::drives::{Frame, Protocol};
+use foretorque_workbench::board::Described;
 use foretorque_workbench::bus::{
     Ask, BusChoice, BusError, Network, Profile, WiredNetwork, discard_typed, spawn_loop,
 };
@@ -124,14 +125,17 @@ fn undetermined(joint: usize, reason: &str) -> String {
     format!("joint {joint}: sign and scale of torque are not determined: {reason}")
 }
 
-/// Result of the loop around the drives `bus`, which runs in a thread of its own, while `meanwhile` runs in this one.
-pub(super) fn in_loop<T: Send>(
+/// Result of the loop around the drives `bus`, which runs in a thread of its own with the arm of this one, while `meanwhile`
+/// runs here.
+pub(super) fn in_loop<A: Arm<N, P>, const N: usize, const P: usize, T: Send>(
     bus: &BusChoice,
     work: impl FnOnce() -> Result<T, Failure> + Send,
     meanwhile: impl FnOnce() -> Result<(), Failure>,
 ) -> Result<T, Failure> {
+    let arm = A::model();
     std::thread::scope(|scope| {
-        let work = |problem: Option<String>| {
+        let work = move |problem: Option<String>| {
+            Described::select(arm);
             if let Some(reason) = problem {
                 show!("no priority of real time ({reason}): the ticks may come late")?;
             }

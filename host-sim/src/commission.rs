@@ -209,7 +209,7 @@ impl Arguments {
             arm.friction_nm = friction;
             self.steps(arm, wanted)
         };
-        in_loop(&self.bus, work, || Ok(()))
+        in_loop::<A, N, P, _>(&self.bus, work, || Ok(()))
     }
 
     /// Executes the steps, and writes what was found up to the first mistake. A step alone keeps the findings of the others.

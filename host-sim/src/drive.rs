@@ -390,7 +390,7 @@ impl<'a, A: Arm<N, P> + Send, const N: usize, const P: usize> Drive<'a, A, N, P>
             }
             Ok(())
         };
-        let played = in_loop(&self.arguments.bus, work, write)?;
+        let played = in_loop::<A, N, P, _>(&self.arguments.bus, work, write)?;
         log.finish()?;
         let controller = &played.player.controller;
         if self.arguments.alone {
