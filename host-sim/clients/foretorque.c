@@ -22,11 +22,17 @@
 #define B2000000 B38400
 #endif
 
-enum { VERSION = 4, MOST_JOINTS = 8, MOST_BYTES = 300, TIMEOUT_MS = 2000, PERIOD_US = 1000 };
+enum { VERSION = 4, MOST_JOINTS = 8, MOST_BYTES = 300, PERIOD_US = 1000 };
 enum { HELLO = 0, SAMPLE = 1, CONFIGURE = 3, ARM = 10, DISARM = 11 }; /* host to board */
 enum { TORQUE = 1, ACK = 4, NACK = 5 };                               /* board to host */
 enum { DISARMED = 0, ARMED = 1, RAMP_DOWN = 2 };                      /* safety states */
 enum { UNKNOWN = -128 }; /* temperature of a motor without a sensor, degrees C */
+
+static const double OPENING_S = 2.0; /* wait for an answer while no torque may flow */
+/* Silence of the board that ends the torque, as that of the host does on the board (docs/safety.md). */
+static const double SILENCE_S = 0.05;
+/* Wait for one torque, after which the next sample follows: a board holds its torque that long. */
+static const double REPLY_S = 0.01;
 
 struct board {
     int port;
@@ -37,6 +43,9 @@ struct board {
     uint8_t period;
     uint8_t waiting[MOST_BYTES]; /* bytes of a frame that has not ended */
     size_t count;
+    int armed;       /* torque may flow */
+    double answered; /* time of the last answer, s */
+    long lost;       /* samples without a reply */
     /* Of the last sample. */
     uint32_t tick;
     uint16_t flags;
@@ -65,6 +74,12 @@ static void fail_at(const char *name) {
 static void refuse(const char *what, const char *argument) {
     fprintf(stderr, "error: %s: %s\n", argument, what);
     exit(2);
+}
+
+static double seconds(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
 static uint32_t crc32(const uint8_t *bytes, size_t count) {
@@ -140,15 +155,26 @@ static size_t unpack(uint8_t *frame, size_t count) {
     return length - 4;
 }
 
-/* Waits for the answer with the tag `wanted` to the last message; its content. */
-static const uint8_t *answer(struct board *board, uint8_t wanted) {
+/* No answer has come for so long that the torque must end. */
+static int silent(const struct board *board) { return seconds() - board->answered >= SILENCE_S; }
+
+/* Waits for the answer with the tag `wanted` to the last message; its content.
+   While torque may flow, it waits `wait_s` at most, and returns NULL where the answer does not come. */
+static const uint8_t *answer(struct board *board, uint8_t wanted, double wait_s) {
     static uint8_t frame[MOST_BYTES];
-    for (;;) {
+    double now = seconds();
+    double deadline = board->armed ? fmin(now + wait_s, board->answered + SILENCE_S) : now + OPENING_S;
+    for (int late = 0;;) {
         uint8_t byte;
         struct pollfd port = {.fd = board->port, .events = POLLIN};
-        int ready = poll(&port, 1, TIMEOUT_MS);
+        double left_s = deadline - seconds();
+        /* What has come by the deadline counts, however late this program looks: a port keeps 4096 bytes. */
+        int ready = late > 4096 ? 0 : poll(&port, 1, (int)ceil(1e3 * fmax(left_s, 0.0)));
         if (ready < 0 && errno == EINTR) continue;
-        if (ready <= 0) fail("the board does not answer");
+        if (ready < 0) fail("the port is gone");
+        if (ready == 0 && board->armed) return NULL;
+        if (ready == 0) fail("the board does not answer");
+        late += left_s <= 0.0;
         ssize_t received = read(board->port, &byte, 1);
         if (received < 0 && errno == EINTR) continue;
         if (received <= 0) fail("the port is gone");
@@ -159,13 +185,21 @@ static const uint8_t *answer(struct board *board, uint8_t wanted) {
         memcpy(frame, board->waiting, board->count);
         size_t length = unpack(frame, board->count);
         board->count = 0;
-        if (length == 0 || little(frame + 1, 2) != board->sequence) continue; /* damaged, or telemetry */
+        if (length == 0) continue; /* damaged */
+        if (little(frame + 1, 2) != board->sequence) { /* late, or telemetry */
+            /* A slow link needs more than one reply's time. */
+            if (frame[3] == wanted && board->armed) deadline = board->answered + SILENCE_S;
+            continue;
+        }
         if (frame[3] == NACK) {
             fprintf(stderr, "error: the board refused: reason %d, %d (docs/protocol.md, Nack reasons)\n", frame[4],
                     length > 5 ? frame[5] : 0);
             exit(1);
         }
-        if (frame[3] == wanted) return frame + 4;
+        if (frame[3] == wanted) {
+            board->answered = seconds();
+            return frame + 4;
+        }
     }
 }
 
@@ -183,7 +217,7 @@ static void board_open(struct board *board, const char *port) {
     uint8_t end = 0, hello = HELLO;
     if (write(board->port, &end, 1) != 1) fail("the port is gone");
     post(board, &hello, 1);
-    const uint8_t *content = answer(board, HELLO);
+    const uint8_t *content = answer(board, HELLO, OPENING_S);
     size_t length = content[4] < sizeof board->arm - 1 ? content[4] : sizeof board->arm - 1;
     memcpy(board->arm, content + 5, length);
     board->joints = content[5 + content[4]];
@@ -200,16 +234,17 @@ static void board_configure(struct board *board, uint32_t period_us) {
     put(board->configuration, period_us, 4);
     memcpy(message + 1, board->configuration, sizeof board->configuration);
     post(board, message, sizeof message);
-    answer(board, ACK);
+    answer(board, ACK, OPENING_S);
 }
 
-static void board_command(struct board *board, uint8_t tag) {
+/* Sends an order; 0 where the board is silent. */
+static int board_command(struct board *board, uint8_t tag) {
     post(board, &tag, 1);
-    answer(board, ACK);
+    return answer(board, ACK, SILENCE_S) != NULL;
 }
 
-/* Runs a tick; the torques go into `torque`, N·m. */
-static void board_sample(struct board *board, const struct sample *sample, float *torque) {
+/* Runs a tick; the torques go into `torque`, N·m. 0 for a reply that is lost while torque may flow. */
+static int board_sample(struct board *board, const struct sample *sample, float *torque) {
     uint8_t message[MOST_BYTES];
     int n = board->joints;
     uint8_t *end = put(message, SAMPLE, 1);
@@ -222,7 +257,12 @@ static void board_sample(struct board *board, const struct sample *sample, float
     end = put_scaled(end, sample->measured_q, n, 3, 20);
     end = put_scaled(end, sample->measured_tau, n, 3, 14);
     post(board, message, (size_t)(end - message));
-    const uint8_t *content = answer(board, TORQUE);
+    /* The timer of a board may pace the reply. */
+    const uint8_t *content = answer(board, TORQUE, fmax(REPLY_S, 1.1e-6 * little(board->configuration, 4)));
+    if (!content) {
+        board->lost++;
+        return 0;
+    }
     board->tick = little(content, 4);
     board->flags = (uint16_t)little(content + 4, 2);
     board->safety = content[6];
@@ -231,6 +271,7 @@ static void board_sample(struct board *board, const struct sample *sample, float
         uint32_t bits = little(content + 8 + 4 * j, 4);
         memcpy(&torque[j], &bits, sizeof bits);
     }
+    return 1;
 }
 
 /* Simulated drives that follow at once. Yours send q, qd and the torque to the bus; they read q,
@@ -257,7 +298,7 @@ static void interrupt(int number) {
     interrupted = 1;
 }
 
-/* The place that the drives hold without torque, whatever ends the program. */
+/* The place of the last command, which the drives hold without torque whatever ends the program. */
 static struct sample hold;
 static int held_joints;
 
@@ -266,18 +307,27 @@ static void let_go(void) {
     drives_command(&hold, zero, held_joints);
 }
 
-/* Lets the torque go to zero while the drives hold the position; they get every torque on the way, then zero. */
-static void disarm(struct board *board, struct sample *sample, float *torque) {
-    memset(sample->qd, 0, sizeof sample->qd);
-    memset(sample->qdd, 0, sizeof sample->qdd);
-    board_command(board, DISARM);
-    do {
-        drives_read(sample);
-        board_sample(board, sample, torque);
-        drives_command(sample, torque, board->joints);
-    } while (board->safety == ARMED || board->safety == RAMP_DOWN);
-    memset(torque, 0, MOST_JOINTS * sizeof *torque);
-    drives_command(sample, torque, board->joints);
+/* Lets the torque go to zero while the drives hold the position; they get every torque on the way, then zero.
+   Where the board is silent, they get zero at once, and the program ends. */
+static void disarm(struct board *board) {
+    float torque[MOST_JOINTS];
+    int answers = !silent(board);
+    if (!answers) let_go();
+    answers = board_command(board, DISARM) && answers;
+    while (answers) {
+        drives_read(&hold);
+        if (!board_sample(board, &hold, torque)) {
+            answers = !silent(board);
+            continue;
+        }
+        drives_command(&hold, torque, board->joints);
+        if (board->safety != ARMED && board->safety != RAMP_DOWN) break;
+    }
+    let_go();
+    if (!answers) {
+        fprintf(stderr, "error: the board has been silent for %.0f ms\n", 1e3 * SILENCE_S);
+        exit(1);
+    }
 }
 
 /* A slow swing of every joint that begins at rest. */
@@ -288,12 +338,6 @@ static void motion(double t_s, const double *start, int joints, struct sample *s
         sample->qd[j] = size * omega * sin(omega * t_s);
         sample->qdd[j] = size * omega * omega * cos(omega * t_s);
     }
-}
-
-static double seconds(void) {
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
 static void columns(FILE *log, const char *name, const char *unit, int joints) {
@@ -336,10 +380,11 @@ int main(int count, char **arguments) {
     for (int k = 0; k < 20; k++) board_sample(&board, &sample, torque); /* the board sees where the arm stands */
     signal(SIGINT, interrupt);
     signal(SIGTERM, interrupt);
-    board_command(&board, ARM);
     hold = sample;
     held_joints = n;
     atexit(let_go);
+    board.armed = 1;
+    if (!board_command(&board, ARM)) disarm(&board);
 
     log = freopen(name, "w", log); /* A log from before stays where the board refuses. */
     if (!log) fail_at(name);
@@ -357,15 +402,18 @@ int main(int count, char **arguments) {
         if (early_s > 0.0) usleep((useconds_t)(1e6 * early_s));
         drives_read(&sample);
         motion(t_s, start, n, &sample);
-        memcpy(hold.q, sample.q, sizeof hold.q);
-        board_sample(&board, &sample, torque);
+        if (!board_sample(&board, &sample, torque)) {
+            if (silent(&board)) disarm(&board);
+            continue; /* the drives go on with their last command */
+        }
         if (board.safety != ARMED) {
             fprintf(stderr, "error: the board ended the torque: state %d, reason %d (docs/safety.md)\n", board.safety,
                     board.reason);
-            disarm(&board, &sample, torque);
+            disarm(&board);
             return 1;
         }
         drives_command(&sample, torque, n);
+        memcpy(hold.q, sample.q, sizeof hold.q);
         /* The torque acts in the next period, the measurement is from before it. */
         fprintf(log, "%.9g", t_s);
         row(log, sample.measured_q, n);
@@ -376,10 +424,10 @@ int main(int count, char **arguments) {
         fprintf(log, ",%d\n", board.flags);
     }
 
-    disarm(&board, &sample, torque);
+    disarm(&board);
     if (interrupted) fail("interrupted");
     int damaged = ferror(log);
     if (fclose(log) || damaged) fail_at(name);
-    printf("%ld ticks\n", ticks);
+    printf("%ld ticks, %ld without a reply\n", ticks, board.lost);
     return 0;
 }

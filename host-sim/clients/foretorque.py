@@ -22,6 +22,8 @@ import tty
 VERSION = 4
 ARMED, RAMP_DOWN = 1, 2  # safety states in which torque flows
 UNKNOWN = -128  # temperature of a motor without a sensor
+SILENCE_S = 0.05  # silence of the board that ends the torque, as that of the host does on the board (docs/safety.md)
+REPLY_S = 0.01  # wait for one torque, after which the next sample follows: a board holds its torque that long
 
 
 class Refused(Exception):
@@ -73,6 +75,7 @@ class Board:
         except termios.error as error:
             raise OSError(f"{port} is not a serial port: {error.args[-1]}") from error
         self.timeout_s, self.waiting, self.sequence, self.period = timeout_s, b"", 0, 0
+        self.armed, self.answered, self.lost = False, 0.0, 0  # time of the last answer; samples without one
         self.telemetry = []  # (tick, fields, bytes) that came unasked
         os.write(self.port, b"\0")
         hello = self._ask(b"\x00", 0)
@@ -86,6 +89,7 @@ class Board:
 
     def _frame(self, deadline):
         """Sequence number, tag and content of the next sound frame."""
+        late = False
         while True:
             frame, end, rest = self.waiting.partition(b"\0")
             if end:
@@ -98,16 +102,26 @@ class Board:
                     raise RuntimeError(f"the board speaks protocol version {body[0]}, this client {VERSION}")
                 continue
             left = deadline - time.monotonic()
-            if left <= 0 or not select.select([self.port], [], [], left)[0]:
-                raise TimeoutError("the board does not answer")
-            self.waiting += os.read(self.port, 4096)
+            if late or not select.select([self.port], [], [], max(0.0, left))[0]:
+                silence = f"has been silent for {1e3 * SILENCE_S:.0f} ms" if self.armed else "does not answer"
+                raise TimeoutError(f"the board {silence}")
+            late = left <= 0  # what has come by the deadline counts, however late this program looks
+            received = os.read(self.port, 4096)
+            if not received:
+                raise OSError("the port is gone")
+            self.waiting += received
 
-    def _ask(self, message, *answers):
-        """Content of the answer, which must have one of the tags `answers`."""
+    def silent(self):
+        """Whether no answer has come for so long that the torque must end."""
+        return time.monotonic() - self.answered >= SILENCE_S
+
+    def _ask(self, message, answer, wait_s=SILENCE_S):
+        """Content of the answer, which must have the tag `answer`. `wait_s` bounds the wait while torque may flow."""
         self.sequence = self.sequence % 65535 + 1
         body = struct.pack("<BH", VERSION, self.sequence) + message
         os.write(self.port, stuffed(body + binascii.crc32(body).to_bytes(4, "little")))
-        deadline = time.monotonic() + self.timeout_s
+        now = time.monotonic()
+        deadline = min(now + wait_s, self.answered + SILENCE_S) if self.armed else now + self.timeout_s
         while True:
             sequence, tag, content = self._frame(deadline)
             if tag == 8:
@@ -115,13 +129,17 @@ class Board:
                 self.telemetry.append((tick, fields, content[-length:]))
             elif sequence == self.sequence and tag == 5:
                 raise Refused(f"the board refused: {content.hex()} (docs/protocol.md, Nack reasons)")
-            elif sequence == self.sequence and tag in answers:
+            elif sequence == self.sequence and tag == answer:
+                self.answered = time.monotonic()
                 return content
+            elif tag == answer and self.armed:
+                deadline = self.answered + SILENCE_S  # late: a slow link needs more than one reply's time
 
     def sample(self, desired, measured=None):
         """Runs a tick: `desired` is (q, qd, qdd) of the next period, `measured` (q, tau, temperatures of the motors).
 
-        Returns the torques, N·m. A sample carries the temperature of one joint, °C or None where it is not known.
+        Returns the torques, N·m; None for a reply that is lost while torque may flow and the board is not silent.
+        A sample carries the temperature of one joint, °C or None where it is not known.
         """
         measured_q, measured_tau, celsius = measured or ([0.0] * self.joints,) * 2 + ([None] * self.joints,)
         flags = int(measured is not None) | self.period << 3
@@ -131,7 +149,14 @@ class Board:
         q, qd, qdd = desired
         motion = scaled(q, 3, 20) + scaled(qd, 3, 18) + scaled(qdd, 2, 9)
         effort = scaled(measured_q, 3, 20) + scaled(measured_tau, 3, 14)
-        reply = self._ask(struct.pack("<BBb", 1, flags, motor) + motion + effort, 1)
+        wait_s = max(REPLY_S, 1.1e-6 * struct.unpack_from("<I", self.configuration)[0])  # the timer may pace the reply
+        try:
+            reply = self._ask(struct.pack("<BBb", 1, flags, motor) + motion + effort, 1, wait_s)
+        except TimeoutError:
+            if not self.armed or self.silent():
+                raise
+            self.lost += 1
+            return None
         self.tick, self.flags, *self.safety = struct.unpack_from("<IHBB", reply)
         return list(struct.unpack_from(f"<{self.joints}f", reply, 8))
 
@@ -146,19 +171,27 @@ class Board:
         """Shows the board where the arm stands, and lets torque through."""
         for _ in range(20):
             self.sample(desired, measured)
+        self.armed = True
         self._ask(b"\x0a", 4)
 
     def disarm(self, hold, drives):
-        """Lets the torque go to zero while the drives hold the position `hold`; they get every torque on the way, then zero."""
-        rest = [0.0] * self.joints
+        """Lets the torque go to zero while the drives hold the position `hold`.
+
+        They get every torque on the way, then zero; where the board is silent, zero at once.
+        """
+        rest, done = [0.0] * self.joints, self.silent()
         try:
+            if done:
+                drives.command(hold, rest, rest)
             self._ask(b"\x0b", 4)
-            while True:
-                drives.command(hold, rest, self.sample((hold, rest, rest), drives.read()))
-                if self.safety[0] not in (ARMED, RAMP_DOWN):
-                    break
+            while not done:
+                torque = self.sample((hold, rest, rest), drives.read())
+                if torque is not None:
+                    drives.command(hold, rest, torque)
+                    done = self.safety[0] not in (ARMED, RAMP_DOWN)
         finally:
             drives.command(hold, rest, rest)
+            self.armed = False
 
     def learning(self, on):
         self._ask(bytes([4, on]), 4)
@@ -208,7 +241,7 @@ def angles(text):
 
 def drive(board, drives, start, chosen, file):
     """The example loop: arms, moves for the ticks chosen, and disarms whatever happens."""
-    joints = board.joints
+    joints, hold = board.joints, start
     names = [("q", "rad"), ("qd", "rad_s"), ("qdd", "rad_s2"), ("tau", "nm"), ("feed_forward", "nm")]
     desired = (start, [0.0] * joints, [0.0] * joints)
     try:
@@ -224,15 +257,18 @@ def drive(board, drives, start, chosen, file):
             measured = drives.read()
             desired = motion(t_s, start)
             torque = board.sample(desired, measured)
+            if torque is None:
+                continue  # the drives go on with their last command
             if board.safety[0] != ARMED:
                 raise RuntimeError(
                     f"the board ended the torque: state {board.safety[0]}, reason {board.safety[1]} (docs/safety.md)"
                 )
             drives.command(desired[0], desired[1], torque)
+            hold = desired[0]
             # The torque acts in the next period, the measurement is from before it.
             log.writerow([t_s, *measured[0], *desired[1], *desired[2], *measured[1], *torque, board.flags])
     finally:
-        board.disarm(desired[0], drives)
+        board.disarm(hold, drives)
 
 
 def main():
@@ -257,7 +293,7 @@ def main():
     board.configure(chosen.period_s)
     with open(chosen.log, "a", newline="") as file:
         drive(board, SimulatedDrives(start), start, chosen, file)
-    print(f"{chosen.ticks} ticks, {chosen.log}")
+    print(f"{chosen.ticks} ticks, {board.lost} without a reply, {chosen.log}")
 
 
 if __name__ == "__main__":

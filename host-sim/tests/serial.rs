@@ -10,11 +10,12 @@ use foretorque_link::bank::NETWORK_SEED;
 use foretorque_link::wire::{BoardMessage, Field, FrameBuffer, TelemetryFrame};
 use foretorque_workbench::board::{Native, Transport};
 use serialport::TTYPort;
+use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::Mutex;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Output of `work` with the port of a pseudo-terminal at which `board` answers.
 fn with_board<T>(mut board: impl Transport + Send, work: impl FnOnce(&str) -> T) -> T {
@@ -112,23 +113,68 @@ fn client(name: &str) -> PathBuf {
     clients.join(name)
 }
 
-/// The client in Python.
-fn interpreted(python: &str) -> Command {
+/// A copy of a client with changes: each text, which occurs once, and what takes its place.
+fn altered(here: &Path, name: &str, changes: &[(&str, &str)]) -> PathBuf {
+    let mut text = std::fs::read_to_string(client(name)).expect("it is there");
+    for (from, to) in changes {
+        assert_eq!(text.matches(from).count(), 1, "{name}: {from}");
+        text = text.replace(from, to);
+    }
+    let copy = here.join(name);
+    std::fs::write(&copy, text).expect("it can be written");
+    copy
+}
+
+/// Changes to a client that outlasts the pauses of a busy machine: a board that is silent for long does not end it.
+const PATIENT: (&str, &str) = ("SILENCE_S = 0.05", "SILENCE_S = 5.0");
+/// Likewise, for single replies.
+const NONE_LOST: (&str, &str) = ("REPLY_S = 0.01", "REPLY_S = 5.0");
+
+fn patient(here: &Path, name: &str) -> PathBuf {
+    altered(here, name, &[PATIENT, NONE_LOST])
+}
+
+/// A client in Python.
+fn interpreted(python: &str, client: &Path) -> Command {
     let mut command = Command::new(python);
-    command.arg("-B").arg(client("foretorque.py"));
+    command.arg("-B").arg(client);
     command
 }
 
-/// The client in C.
-fn compiled(here: &Path) -> PathBuf {
+/// A client in C.
+fn compiled(here: &Path, client: &Path) -> PathBuf {
     let program = here.join("client");
     let mut compiler = Command::new("cc");
     compiler.args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-o"]);
-    compiler.arg(&program).arg(client("foretorque.c"));
+    compiler.arg(&program).arg(client);
     let done = compiler.arg("-lm").output().expect("cc");
     let stderr = String::from_utf8_lossy(&done.stderr);
     assert!(done.status.success(), "{stderr}");
     program
+}
+
+/// The command of a client, given port, seconds and log.
+type Client = Box<dyn Fn(&str, &str, &Path) -> Command>;
+
+/// Both clients, with changes to the one in Python and to the one in C.
+fn both(here: &Path, [in_python, in_c]: [&[(&str, &str)]; 2]) -> Vec<Client> {
+    let mut clients: Vec<Client> = Vec::new();
+    if let Some(python) = python::with("termios") {
+        let client = altered(here, "foretorque.py", in_python);
+        clients.push(Box::new(move |port, seconds, log| {
+            let mut command = interpreted(&python, &client);
+            command.args([port, "--seconds", seconds, "--start", START, "--log"]);
+            command.arg(log);
+            command
+        }));
+    }
+    let program = compiled(here, &altered(here, "foretorque.c", in_c));
+    clients.push(Box::new(move |port, seconds, log| {
+        let mut command = Command::new(&program);
+        command.args([port, seconds]).arg(log).arg(START);
+        command
+    }));
+    clients
 }
 
 /// A board that keeps the bytes it received.
@@ -173,6 +219,8 @@ const SAMPLE: u8 = 1;
 const CONFIGURE: u8 = 3;
 const ARM: u8 = 10;
 const DISARM: u8 = 11;
+/// Tag of the reply to a sample.
+const TORQUE: u8 = 1;
 
 #[test]
 fn clients_refuse_mistakes_before_they_arm() {
@@ -192,9 +240,10 @@ fn clients_refuse_mistakes_before_they_arm() {
     };
     if let Some(python) = python::with("termios") {
         let cases = "--seconds 0 | --seconds -1 | --seconds nan | --period-s 0 | --start 0,0,0 | --start 0,0,0,0,0,0,0 | --start a,b";
-        refuses(&|| interpreted(&python), cases);
+        let client = client("foretorque.py");
+        refuses(&|| interpreted(&python, &client), cases);
     }
-    let program = compiled(&here);
+    let program = compiled(&here, &client("foretorque.c"));
     let cases = "0 | -1 | nan | 1 log.csv 0,0,0,0,0,0,0,0,0 | 1 log.csv 0,0,0 | 1 log.csv 0,0,0,0,0,0,0 | 1 log.csv a,b";
     refuses(&|| Command::new(&program), cases);
     assert!(here.files(".").iter().all(|name| name == "client"));
@@ -206,9 +255,10 @@ fn a_client_sets_its_period_and_disarms_after_a_failure() {
         return;
     };
     let here = Directory::new("client-period");
+    let client = patient(&here, "foretorque.py");
     let run = |options: &[&str]| {
         ended(|port| {
-            let mut command = interpreted(&python);
+            let mut command = interpreted(&python, &client);
             command.current_dir(&*here).arg(port).args(options);
             command
         })
@@ -264,13 +314,11 @@ fn the_last_command_of_a_client_has_no_torque() {
         return;
     };
     let here = Directory::new("client-end");
-    let clients = client("foretorque.py");
+    patient(&here, "foretorque.py");
     for log in ["log.csv", "/dev/full"] {
         let (code, stderr, _) = ended(|port| {
             let mut command = Command::new(&python);
-            command
-                .args(["-B", "-c", RECORDED])
-                .arg(clients.parent().expect("has one"));
+            command.args(["-B", "-c", RECORDED]).arg(&*here);
             command.args([port, "--seconds", "0.3", "--log", log]);
             command.current_dir(&*here);
             command
@@ -284,30 +332,41 @@ fn the_last_command_of_a_client_has_no_torque() {
 /// * `command` the client, given the port of the board
 fn driven(log: &Path, command: impl FnOnce(&str) -> Command) -> Vec<Vec<f64>> {
     let (output, frames) = tapped(command);
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{stderr}");
     let samples = frames
         .iter()
         .filter(|frame| frame.get(TAG) == Some(&SAMPLE));
     // Behind the flags the temperature of a motor, °C.
     assert!(samples.map(|frame| frame[6]).all(|celsius| celsius == 25));
+    let (rows, lost) = logged(log, &output);
+    assert_eq!((rows.len(), lost), (1000, 0));
+    rows
+}
+
+/// Rows of the log of a client that succeeded, and the replies that it missed.
+fn logged(log: &Path, output: &Output) -> (Vec<Vec<f64>>, usize) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{stderr}");
     let stdout = String::from_utf8_lossy(&output.stdout);
-    assert!(stdout.starts_with("ur5, 6 joints\n"), "{stdout}");
+    let shown = stdout.strip_prefix("ur5, 6 joints\n1000 ticks, ");
+    let lost = shown.and_then(|shown| shown.split_once(" without a reply"));
+    let lost = lost.and_then(|(lost, _)| lost.parse().ok());
     let text = std::fs::read_to_string(log).expect("it was written");
     let rows = text.lines().skip(1);
     let number = |field: &str| field.parse().expect("a number");
-    rows.map(|row| row.split(',').map(number).collect())
-        .collect()
+    let rows = rows.map(|row| row.split(',').map(number).collect());
+    (rows.collect(), lost.unwrap_or_else(|| panic!("{stdout}")))
 }
 
 /// Both ends of a row: the torque is that of the description for the motion asked for.
 fn torques_are_those_of_the_description(rows: &[Vec<f64>]) {
-    assert_eq!(rows.len(), 1000);
     let set = ParameterSet::nominal::<Ur5>(NETWORK_SEED);
     let vector =
         |row: &[f64], first: usize| JointVector::<6>::from_fn(|j, _| row[1 + 6 * first + j] as f32);
-    // The torque has risen by the slew limit; the position asked for is measured in the row after.
-    for pair in rows[800..].windows(2) {
+    // The torque has risen by the slew limit; the position asked for is measured in the next tick, whose reply may be lost.
+    for pair in rows[rows.len() - 200..].windows(2) {
+        if pair[1][0] - pair[0][0] > 1.5e-3 {
+            continue;
+        }
         let motion = JointMotion {
             q: vector(&pair[1], 0),
             qd: vector(&pair[0], 1),
@@ -322,25 +381,12 @@ fn torques_are_those_of_the_description(rows: &[Vec<f64>]) {
 #[test]
 fn python_and_c_drive_a_board_and_get_the_same_torques() {
     let here = Directory::new("clients");
-    let mut logs = Vec::new();
-    if let Some(python) = python::with("termios") {
-        let log = here.join("python.csv");
-        logs.push(driven(&log, |port| {
-            let mut command = interpreted(&python);
-            command
-                .arg(port)
-                .args(["--seconds", "1", "--start", START, "--log"]);
-            command.arg(&log);
-            command
-        }));
-    }
-    let program = compiled(&here);
-    let log = here.join("c.csv");
-    logs.push(driven(&log, |port| {
-        let mut command = Command::new(&program);
-        command.args([port, "1"]).arg(&log).arg(START);
-        command
-    }));
+    let log = here.join("log.csv");
+    let clients = both(&here, [&[PATIENT, NONE_LOST]; 2]);
+    let logs = clients
+        .iter()
+        .map(|client| driven(&log, |port| client(port, "1", &log)));
+    let logs: Vec<_> = logs.collect();
     for rows in &logs {
         torques_are_those_of_the_description(rows);
     }
@@ -350,5 +396,138 @@ fn python_and_c_drive_a_board_and_get_the_same_torques() {
             torques.map(|tau| *tau as f32).collect()
         };
         assert!(torques(python) == torques(c), "the torques differ");
+    }
+}
+
+/// A board whose replies pass through `carry`, which returns the bytes that arrive in the place of a frame.
+struct Flawed<F>(Native<Ur5, 6, 40>, F, VecDeque<u8>);
+
+impl<F: FnMut(Vec<u8>) -> Vec<u8>> Transport for Flawed<F> {
+    fn name(&self) -> String {
+        self.0.name()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.0.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
+        let count = self.0.receive(buffer, timeout)?;
+        for frame in buffer[..count].split_inclusive(|byte| *byte == 0) {
+            self.2.extend((self.1)(frame.to_vec()));
+        }
+        self.2.read(buffer)
+    }
+}
+
+/// Output of a client of a board whose replies pass through `carry`.
+fn flawed(
+    carry: impl FnMut(Vec<u8>) -> Vec<u8> + Send,
+    command: impl FnOnce(&str) -> Command,
+) -> Output {
+    let board = Flawed(ur5(), carry, VecDeque::new());
+    with_board(board, |port| command(port).output()).expect("the client starts")
+}
+
+/// Drives that show torque and velocity of each command, N·m and rad/s, and a client that shows what it sends.
+const SHOWN: [&[(&str, &str)]; 2] = [
+    &[
+        (
+            "def command(self, q, qd, torque):",
+            "def command(self, q, qd, torque):
+        for joint in zip(torque, qd): print('drive', *joint)",
+        ),
+        (
+            "self.sequence = self.sequence %",
+            "print('sent', message[0]); self.sequence = self.sequence %",
+        ),
+    ],
+    &[
+        (
+            "static void drives_command(const struct sample *desired, const float *torque, int joints) {",
+            "static void drives_command(const struct sample *desired, const float *torque, int joints) {
+    for (int j = 0; j < joints; j++) printf(\"drive %g %g\\n\", torque[j], desired->qd[j]);",
+        ),
+        (
+            "board->sequence = (uint16_t)",
+            "printf(\"sent %d\\n\", message[0]); board->sequence = (uint16_t)",
+        ),
+    ],
+];
+
+/// Torque and velocity of every joint in every command to the drives.
+fn commands(shown: &str) -> Vec<[f32; 2]> {
+    let joints = shown.lines().filter_map(|line| line.strip_prefix("drive "));
+    let pairs = joints.map(|joint| joint.split_once(' ').expect("two numbers"));
+    let number = |text: &str| text.parse().expect("a number");
+    pairs
+        .map(|(torque, speed)| [torque, speed].map(number))
+        .collect()
+}
+
+#[test]
+fn a_client_ends_the_torque_when_the_board_falls_silent() {
+    let here = Directory::new("client-silence");
+    let log = here.join("log.csv");
+    for client in both(&here, SHOWN) {
+        // After 20 samples to arm on and 300 ticks: in the run, at the disarming, in the ramp.
+        for answered in [170, 320, 321] {
+            let (mut torques, mut last) = (0, Instant::now());
+            let carry = |frame: Vec<u8>| {
+                if torques == answered {
+                    return Vec::new();
+                }
+                torques += u32::from(frame.get(TAG) == Some(&TORQUE));
+                last = Instant::now();
+                frame
+            };
+            let output = flawed(carry, |port| client(port, "0.3", &log));
+            // A wait of 50 ms, and the end of an interpreter on a busy machine; time-outs of 2 s are none of a torque.
+            let late = last.elapsed();
+            assert!(late < Duration::from_secs(1), "{answered}: {late:?}");
+            assert_eq!(output.status.code(), Some(1), "{answered}");
+            let stderr = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(stderr, "error: the board has been silent for 50 ms\n");
+
+            let shown = String::from_utf8_lossy(&output.stdout);
+            let rest = [[0.0; 2]; 6];
+            let all = commands(&shown);
+            assert!(all.iter().any(|[torque, _]| torque.abs() > 10.0));
+            assert!(all.ends_with(&rest), "{answered}");
+            if answered < 320 {
+                let (before, _) = shown.split_once("sent 11\n").expect("it disarms");
+                assert!(commands(before).ends_with(&rest), "first the drives");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_lost_reply_does_not_end_the_run_of_a_client() {
+    let here = Directory::new("client-lost");
+    let log = here.join("log.csv");
+    for client in both(&here, [&[PATIENT]; 2]) {
+        let (mut torques, mut held) = (0, Vec::new());
+        let carry = |mut frame: Vec<u8>| {
+            if frame.get(TAG) != Some(&TORQUE) {
+                return frame;
+            }
+            torques += 1;
+            match torques % 150 {
+                0 => return Vec::new(),
+                // Damaged: another byte, which is no end of a frame.
+                50 => frame[9] = frame[9] % 255 + 1,
+                // Late: it arrives before the reply to another sample.
+                100 => held = std::mem::take(&mut frame),
+                125 => return [std::mem::take(&mut held), frame].concat(),
+                _ => {}
+            }
+            frame
+        };
+        let output = flawed(carry, |port| client(port, "1", &log));
+        let (rows, lost) = logged(&log, &output);
+        assert!((20..200).contains(&lost), "{lost}");
+        assert_eq!(rows.len() + lost, 1000);
+        torques_are_those_of_the_description(&rows);
     }
 }
