@@ -310,35 +310,26 @@ pub fn cogging_attenuation(angle: f32, taps: u32) -> f32 {
     }
 }
 
-/// Distances from the middle of the window, ticks, and their squares.
-const DISTANCES: [[f32; 2]; DELAY] = {
-    let (mut distances, mut k) = ([[0.0; 2]; DELAY], 0);
-    while k < DELAY {
-        let distance = (k + 1) as f32;
-        distances[k] = [distance, distance * distance];
-        k += 1;
-    }
-    distances
-};
-
 /// Value, first and second derivative (per tick) of the quadratic through the first 2 `delay` + 1 of `samples`, at their middle.
 ///
 /// * `factors` of this delay
 #[inline]
 fn fit(samples: &[f32], delay: usize, factors: &[f32; 5]) -> Option<(f32, f32, f32)> {
-    let (before, rest) = samples.split_at_checked(delay)?;
-    let (centre, after) = rest.split_first()?;
-    let mut sum = 0.0;
+    let (mut left, rest) = samples.split_at_checked(delay)?;
+    let (&centre, right) = rest.split_first()?;
+    let (mut distance, mut sum) = (0.0, 0.0);
     let mut first_moment = 0.0;
     let mut second_moment = 0.0;
     // Pairs at the same distance from the middle: their sum enters the even sums, their difference the odd one.
-    let sides = before.iter().rev().zip(after);
-    for ((before, after), [distance, square]) in sides.zip(&DISTANCES) {
+    for after in right.get(..delay)? {
+        let before;
+        (before, left) = left.split_last()?;
+        distance += 1.0;
         let (after, before) = (after - centre, before - centre);
         let even = after + before;
         sum += even;
         first_moment += distance * (after - before);
-        second_moment += square * even;
+        second_moment += distance * distance * even;
     }
     let [sum_2, inv_sum_0, mean, inv_sum_2, inv_curvature] = *factors;
     let half_curvature = (second_moment - mean * sum) * inv_curvature;
