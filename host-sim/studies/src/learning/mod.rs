@@ -146,11 +146,10 @@ fn of_arm(
 
 /// Beginnings of the names of arm and scenario, figure, side, bar.
 #[rustfmt::skip]
-const BARS: [(&str, &str, &str, &str, f64); 16] = [
+const BARS: [(&str, &str, &str, &str, f64); 15] = [
     ("",    "path-description",      "unseen_over_start_ratio",           "at most",  0.35),
     ("",    "jitter-description",    "unseen_over_start_ratio",           "at most",  0.35),
     ("",    "path-bank",             "unseen_over_start_ratio",           "at most",  1.1),
-    ("",    "slow-bank",             "unseen_over_start_ratio",           "at most",  1.1),
     ("",    "path-",                 "unseen_over_batch_ratio",           "at most",  1.3),
     ("",    "path-description-link", "unseen_over_batch_ratio",           "at most",  1.1),
     ("",    "slow-",                 "unseen_over_batch_ratio",           "at most",  1.5),
