@@ -6,7 +6,7 @@ use clap::Args;
 use foretorque::learning::RATED_COM_DISTANCE;
 use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::robot::{Joint, Link, Robot};
-use foretorque_workbench::urdf::{Import, Selection};
+use foretorque_workbench::urdf::Selection;
 use std::path::{Path, PathBuf};
 
 /// Arm of a URDF, and values that take the place of the description's.
@@ -88,7 +88,7 @@ impl ArmOptions {
     /// The arm called `name`, with its notes.
     ///
     /// Errors: of the description; a list of another length than the joints.
-    pub(super) fn import(&self, name: &str) -> Result<Import, Failure> {
+    pub(super) fn import(&self, name: &str) -> Result<(Robot, Vec<String>), Failure> {
         let mut import = Robot::load_selected(name, &self.selection())?;
         if let Some(called) = &self.called {
             if !Robot::is_name(called) {
@@ -96,12 +96,15 @@ impl ArmOptions {
             }
             import.robot.name.clone_from(called);
         }
-        type Place = fn(&mut Joint) -> &mut f64;
-        let rotor: Place = |joint| &mut joint.drive.rotor_inertia;
-        let torque: Place = |joint| &mut joint.limits.torque;
-        let velocity: Place = |joint| &mut joint.limits.velocity;
-        let gain: Place = |joint| joint.drive.gain.insert(1.0);
-        let friction: Place = |joint| &mut joint.friction.coulomb;
+        // Name of the value in a description, and its place.
+        type Place = (&'static str, fn(&mut Joint) -> &mut f64);
+        let rotor: Place = ("rotor_inertia_kg_m2", |joint| {
+            &mut joint.drive.rotor_inertia
+        });
+        let torque: Place = ("torque_nm", |joint| &mut joint.limits.torque);
+        let velocity: Place = ("velocity_rad_s", |joint| &mut joint.limits.velocity);
+        let gain: Place = ("gain_nm_a", |joint| joint.drive.gain.insert(1.0));
+        let friction: Place = ("coulomb_nm", |joint| &mut joint.friction.coulomb);
         let places = [
             ("--rotor-inertia", &self.rotor_inertia, rotor),
             ("--torque-limits", &self.torque_limits, torque),
@@ -110,17 +113,18 @@ impl ArmOptions {
             ("--friction", &self.friction, friction),
         ];
         let joints = import.robot.joint_count();
-        for (option, values, place) in places {
+        for (option, values, (field, place)) in places {
             let (found, count) = (values.len(), joint_count(joints));
             if ![0, 1, joints].contains(&found) {
                 bail!("{option} has {found} values, the arm has {count}");
             }
-            for (joint, value) in import.robot.joints.iter_mut().zip(values.iter().cycle()) {
-                *place(joint) = *value;
+            for (joint, value) in (0..joints).zip(values.iter().cycle()) {
+                import.give(joint, field, |joint| *place(joint) = *value);
             }
         }
-        import.notes.extend(inflated_limits(&import.robot));
-        Ok(import)
+        let mut notes = import.notes();
+        notes.extend(inflated_limits(&import.robot));
+        Ok((import.robot, notes))
     }
 
     /// The arm called `name`, of which each drive turns one joint; its notes are printed.
@@ -136,11 +140,11 @@ impl ArmOptions {
 
     /// The arm called `name`, which may have coupled joints; its notes are printed.
     pub(super) fn load_coupled(&self, name: &str) -> Result<Robot, Failure> {
-        let import = self.import(name)?;
-        for note in &import.notes {
+        let (robot, notes) = self.import(name)?;
+        for note in &notes {
             show!("note: {note}")?;
         }
-        Ok(import.robot)
+        Ok(robot)
     }
 }
 

@@ -34,8 +34,7 @@ enum Format {
 
 impl Describe {
     pub(super) fn run(&self) -> Result<(), Failure> {
-        let import = self.arm.import(&self.robot)?;
-        let (robot, mut notes) = (import.robot, import.notes);
+        let (robot, mut notes) = self.arm.import(&self.robot)?;
         let (_, unknown) = robot.with_assumed_rotors();
         if !unknown.is_empty() {
             notes.push(format!(

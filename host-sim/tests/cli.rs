@@ -247,6 +247,37 @@ fn a_torque_limit_that_no_drive_of_the_arm_has_is_asked_about() {
 }
 
 #[test]
+fn what_options_of_describe_give_is_not_noted_as_assumed() {
+    let here = Directory::new("described_with_options");
+    let arm = include_str!("../description/src/urdf/tests/two_link.urdf");
+    let arm = arm
+        .replace(" effort=\"40\"", "")
+        .replace(" effort=\"20\"", "");
+    here.write("arm.urdf", arm.replace(" velocity=\"3\"", ""));
+    let options =
+        "--torque-limits 150,60 --velocity-limits 180,2 --rotor-inertia 0.6 --drive-gains 9";
+    for format in ["toml", "overlay"] {
+        let bare = here.succeeds(format!("describe arm.urdf --format {format}"));
+        let given = here.succeeds(format!("describe arm.urdf --format {format} {options}"));
+        for note in [
+            "no torque limit",
+            "no velocity limit",
+            "rotor inertias 0",
+            "gains not known",
+            "rotor inertia of joints",
+        ] {
+            assert_contains(&bare, note);
+            assert!(!given.contains(note), "{given}");
+        }
+        assert_contains(&given, "# drives are not described: 17-bit encoders");
+        assert_contains(
+            &given,
+            "its velocity limit is 180 rad/s: are these degrees?",
+        );
+    }
+}
+
+#[test]
 fn an_arm_of_one_joint_is_generated_and_excited() {
     let here = Directory::new("one-joint");
     let pendulum = r#"<robot name="pendulum"><link name="wall"/>

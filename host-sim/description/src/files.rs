@@ -240,12 +240,15 @@ pub fn text_of(path: &Path) -> Result<String, Refusal> {
 ///
 /// Errors: the first complaint of the parser, with its line.
 pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
-    toml::from_str(text).map_err(|error| {
-        let before = error.span().map_or("", |span| &text[..span.start]);
-        let line = 1 + before.matches('\n').count();
-        let reason = error.message().lines().next().unwrap_or("not TOML");
-        format!("line {line}: {reason}")
-    })
+    toml::from_str(text).map_err(|error| toml_problem(text, &error))
+}
+
+/// The first complaint of the parser of `text`, with its line.
+pub(crate) fn toml_problem(text: &str, error: &toml::de::Error) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start));
+    let line = 1 + before.unwrap_or_default().matches('\n').count();
+    let reason = error.message().lines().next().unwrap_or("not TOML");
+    format!("line {line}: {reason}")
 }
 
 #[cfg(test)]

@@ -6,9 +6,11 @@ use super::{
     Workspace, angle_problem,
 };
 use crate::Refusal;
-use crate::files::from_toml;
+use crate::files::toml_problem;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
+use toml::Spanned;
+use toml::de::{DeTable, Deserializer};
 
 /// Beyond the gravity of every planet, m/s²: more is in another unit.
 const MOST_GRAVITY_M_S2: f64 = 30.0;
@@ -110,13 +112,28 @@ pub(super) struct InertiaFile {
     pub(super) yz: f64,
 }
 
-pub(super) fn parse(file: &str, text: &str) -> Result<Robot, Refusal> {
-    let raw = from_toml(text).map_err(|problem| Refusal::of(file, problem))?;
-    read(file, raw)
+/// Fields of an overlay alone.
+pub(super) const OF_OVERLAY: [&str; 6] = ["from", "base", "tip", "weld", "repair", "link_mass_kg"];
+
+/// The tables of a description, with their places in `text`.
+pub(super) fn tables<'a>(file: &str, text: &'a str) -> Result<Spanned<DeTable<'a>>, Refusal> {
+    DeTable::parse(text).map_err(|error| Refusal::of(file, toml_problem(text, &error)))
 }
 
 /// Checks and converts a description.
-pub(super) fn read(file: &str, raw: RobotFile) -> Result<Robot, Refusal> {
+///
+/// * `tables` those of the `text`, or of an overlay with all that it completes
+pub(super) fn read(file: &str, text: &str, tables: Spanned<DeTable<'_>>) -> Result<Robot, Refusal> {
+    let raw = RobotFile::deserialize(Deserializer::from(tables)).map_err(|error| {
+        let own = DeTable::parse(text).map(Spanned::into_inner);
+        let own = own.unwrap_or_default();
+        let is_unknown = own.keys().any(|key| Some(key.span()) == error.span());
+        let more = match is_unknown {
+            true => format!(", in an overlay also `{}`", OF_OVERLAY.join("`, `")),
+            false => String::new(),
+        };
+        Refusal::of(file, toml_problem(text, &error) + &more)
+    })?;
     let check = Check {
         file,
         place: String::new(),

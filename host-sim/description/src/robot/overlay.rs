@@ -5,12 +5,13 @@ use super::file::{
 };
 use super::{Joint, Link, Placement, Robot};
 use crate::Refusal;
-use crate::files::{from_toml, read_text};
+use crate::files::{from_toml, read_text, toml_problem};
 use crate::urdf::{self, Import, Selection};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use toml::{Table, Value};
+use toml::de::{DeTable, DeValue, ValueDeserializer};
+use toml::{Spanned, Table};
 
 /// Key that makes a description an overlay.
 const FROM: &str = "from";
@@ -26,8 +27,8 @@ struct OverlayFile {
     #[serde(default)]
     repair: bool,
     link_mass_kg: Option<f64>,
-    #[serde(flatten)]
-    values: Table,
+    #[serde(skip_deserializing)]
+    joints: Vec<Table>,
 }
 
 /// Values of a joint that a URDF does not have, or has not for all purposes, after its name.
@@ -93,18 +94,16 @@ impl Robot {
         if is_xml || text.trim_start().starts_with('<') {
             return urdf::parse(file, text, selection);
         }
-        if let Some(import) = read(file, text, selection)? {
-            return Ok(import);
+        let tables = file::tables(file, text)?;
+        if tables.get_ref().contains_key(FROM) {
+            return read(file, text, tables, selection);
         }
         if *selection != Selection::default() {
             let problem =
                 "--base, --tip, --weld, --repair and --link-mass are for URDF and MJCF files";
             return Err(Refusal::of(file, problem));
         }
-        Ok(Import {
-            robot: file::parse(file, text)?,
-            notes: Vec::new(),
-        })
+        Ok(Import::described(file::read(file, text, tables)?))
     }
 
     /// The description file of this robot, which [`Robot::parse`] reads back to rounding. Joints that came with a
@@ -176,7 +175,7 @@ impl Robot {
         for joint in self.to_file().joints {
             let mut values = Table::try_from(joint)?;
             values.retain(|name, _| OVERLAID.contains(&name));
-            joints.push(Value::Table(values));
+            joints.push(values);
         }
         toml::to_string(&OverlayFile {
             from: from.to_owned(),
@@ -185,25 +184,22 @@ impl Robot {
             weld: selection.weld,
             repair: selection.repair,
             link_mass_kg: selection.link_mass,
-            values: Table::from_iter([("joints".to_owned(), Value::Array(joints))]),
+            joints,
         })
     }
 }
 
-/// The arm of the overlay `text` in the file `path`; `None` where that is a whole description.
+/// The arm of the overlay `text`, with its `tables`, in the file `path`.
 ///
 /// The file that it names is read first; values of the overlay take the place of those found there, joint by joint.
 ///
 /// * `selection` wins over that of the overlay
-pub(super) fn read(
+fn read(
     path: &str,
     text: &str,
+    mut tables: Spanned<DeTable<'_>>,
     selection: &Selection<'_>,
-) -> Result<Option<Import>, Refusal> {
-    let table = text.parse::<Table>();
-    if !table.is_ok_and(|table| table.contains_key(FROM)) {
-        return Ok(None);
-    }
+) -> Result<Import, Refusal> {
     let overlay: OverlayFile = from_toml(text).map_err(|problem| Refusal::of(path, problem))?;
     let field = |field: &str, problem: String| Refusal::of(path, format!("{field}: {problem}"));
     let bad_mass = |mass: f64| mass.is_nan() || mass <= 0.0;
@@ -228,59 +224,62 @@ pub(super) fn read(
         false => beside.display().to_string(),
     };
     let import = Robot::load_selected(&below, &selection)?;
-    let robot = merged(path, &import.robot, overlay.values, &field)?;
-    Ok(Some(Import { robot, ..import }))
-}
-
-/// Longest chain of overlays.
-const CHAIN: usize = 16;
-
-/// `robot` with the values of `overlay`.
-fn merged(
-    path: &str,
-    robot: &Robot,
-    mut overlay: Table,
-    field: &dyn Fn(&str, String) -> Refusal,
-) -> Result<Robot, Refusal> {
-    let unreadable = |reason: String| Refusal::of(path, reason);
-    let whole = Table::try_from(robot.to_file());
-    let mut whole = whole.map_err(|error| unreadable(error.to_string()))?;
-    let joints = match overlay.remove("joints") {
+    let whole = import.robot.to_toml();
+    let whole = whole.map_err(|error| field(FROM, error.to_string()))?;
+    let mut whole = file::tables(&below, &whole)?;
+    let own = tables.get_mut();
+    for field in file::OF_OVERLAY {
+        own.remove(field);
+    }
+    let names: Vec<&str> = import.robot.joints.iter().map(|j| &*j.name).collect();
+    let joints = match own.remove("joints").map(Spanned::into_inner) {
         None => Vec::new(),
-        Some(Value::Array(joints)) => joints,
+        Some(DeValue::Array(joints)) => joints.into_iter().collect(),
         Some(_) => return Err(field("joints", "must be [[joints]] with names".to_owned())),
     };
-    let names: Vec<&str> = robot.joints.iter().map(|j| j.name.as_str()).collect();
-    let mut seen = vec![false; names.len()];
-    let mut limited = vec![false; names.len()];
+    let mut given = vec![None; names.len()];
     for (index, joint) in joints.into_iter().enumerate() {
         let at = format!("joints[{index}].name");
-        let name = joint.get("name").and_then(Value::as_str);
+        let joint = joint.into_inner();
+        let name = joint.get("name").and_then(|name| name.get_ref().as_str());
         let place = names.iter().position(|known| Some(*known) == name);
         let Some(place) = place else {
             let (name, names) = (name.unwrap_or_default(), names.join(", "));
             return Err(field(&at, format!("'{name}' is not one of {names}")));
         };
-        if std::mem::replace(&mut seen[place], true) {
+        if given[place].replace(values(&joint)).is_some() {
             return Err(field(&at, "comes twice".to_owned()));
         }
-        limited[place] = joint.get("limits").is_some_and(|limits| {
-            let there = |key: &str| limits.get(key).is_some();
-            there("position_rad") && there("velocity_rad_s") && there("torque_nm")
-        });
-        let own = whole.get_mut("joints").and_then(|own| own.get_mut(place));
-        if let (Some(Value::Table(own)), Value::Table(joint)) = (own, joint) {
-            put(own, joint);
+        let all = whole.get_mut().get_mut("joints").map(Spanned::get_mut);
+        let Some(DeValue::Array(all)) = all else {
+            continue;
+        };
+        let all = &mut all.as_mut()[place];
+        if let (DeValue::Table(all), DeValue::Table(joint)) = (all.get_mut(), joint) {
+            put(all, joint);
         }
+        let read = JointFile::deserialize(ValueDeserializer::from(all.clone()));
+        read.map_err(|error| {
+            let (name, problem) = (names[place], toml_problem(text, &error));
+            Refusal::of(path, format!("joint '{name}', {problem}"))
+        })?;
     }
-    put(&mut whole, overlay);
-    let read = Value::Table(whole).try_into();
-    let read = read.map_err(|error: toml::de::Error| unreadable(error.message().to_owned()));
-    let mut merged = file::read(path, read?)?;
-    for (index, (joint, before)) in merged.joints.iter_mut().zip(&robot.joints).enumerate() {
+    let own = tables.into_inner();
+    let tilted = !own.contains_key("gravity_m_s2");
+    put(whole.get_mut(), own);
+    let mut robot = file::read(path, text, whole)?;
+    for (index, (joint, before)) in robot
+        .joints
+        .iter_mut()
+        .zip(&import.robot.joints)
+        .enumerate()
+    {
         joint.link_frame = before.link_frame;
         let couples = |coupling: &super::Coupling| coupling.couples(index);
-        if merged.coupling.as_ref().is_some_and(couples) && !limited[index] {
+        let fields = given[index].as_deref().unwrap_or_default();
+        let mut needs = ["position_rad", "velocity_rad_s", "torque_nm"].iter();
+        let limited = needs.all(|need| fields.iter().any(|field| field == need));
+        if robot.coupling.as_ref().is_some_and(couples) && !limited {
             let name = &joint.name;
             let problem = format!(
                 "joint '{name}' needs limits of its drive: limits = {{ position_rad, velocity_rad_s, torque_nm }}"
@@ -288,15 +287,27 @@ fn merged(
             return Err(field("coupling", problem));
         }
     }
-    Ok(merged)
+    Ok(import.overlaid(robot, &given, tilted))
+}
+
+/// Longest chain of overlays.
+const CHAIN: usize = 16;
+
+/// Names of the values that a joint of an overlay gives.
+fn values(joint: &DeValue<'_>) -> Vec<String> {
+    let tables = ["link", "drive", "limits"].iter();
+    let tables = tables.filter_map(|table| joint.get(*table)?.get_ref().as_table());
+    let names = tables.flat_map(|table| table.keys());
+    names.map(|name| name.get_ref().to_string()).collect()
 }
 
 /// Puts the values of `overlay` in the place of those of `whole`, table by table.
-fn put(whole: &mut Table, overlay: Table) {
+fn put<'a>(whole: &mut DeTable<'a>, overlay: DeTable<'a>) {
     for (key, value) in overlay {
-        match (whole.get_mut(&key), value) {
-            (Some(Value::Table(inner)), Value::Table(value)) => put(inner, value),
-            (_, value) => {
+        let inner = whole.get_mut(key.get_ref().as_ref()).map(Spanned::get_mut);
+        match (inner, value.get_ref()) {
+            (Some(DeValue::Table(inner)), DeValue::Table(value)) => put(inner, value.clone()),
+            _ => {
                 whole.insert(key, value);
             }
         }

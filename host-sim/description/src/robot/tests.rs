@@ -133,8 +133,11 @@ fn an_overlay_completes_the_file_beside_it() {
     let cases = "
         [[joints]] / name = 'elbow' | joints[0].name: 'elbow' is not one of panda_joint1,
         JOINT / JOINT | joints[1].name: comes twice
-        JOINT / drive = { rotor = 1 } | unknown field `rotor`, expected one of
-        JOINT / drive = 3 | invalid type: integer `3`
+        JOINT / drive = { rotor = 1 } | joint 'panda_joint2', line 4: unknown field `rotor`, expected one of
+        JOINT / drive = 3 | joint 'panda_joint2', line 4: invalid type: integer `3`
+        JOINT / friction.coulomb_nm = 1 / limits = { torque = 80 } | joint 'panda_joint2', line 5: unknown field `torque`, expected one of `position_rad`,
+        [[joint]] / name = 'panda_joint2' | ALL
+        [tool] / mass = 1 | line 3: unknown field `mass`, expected one of `mass_kg`, `com_m`, `inertia_kg_m2`, `capsules`
         weld = 3 | line 2: invalid type: integer `3`
         link_mass_kg = -1 | link_mass_kg: must be positive
         from = 'arm.urdf' | line 2: duplicate key
@@ -144,6 +147,9 @@ fn an_overlay_completes_the_file_beside_it() {
         [coupling] / joints = ['a'] / matrix = [[1]] | coupling: no joint 'a'";
     let coupling = "[coupling] / joints = ['panda_joint2', 'panda_joint3']";
     let cases = cases.replace("JOINT", "[[joints]] / name = 'panda_joint2'");
+    let all = "line 2: unknown field `joint`, expected one of `name`, `gravity_m_s2`, `link_names`, `joints`, `flange`, `tool`, \
+        `coupling`, `log_columns`, `workspace`, in an overlay also `from`, `base`, `tip`, `weld`, `repair`, `link_mass_kg`";
+    let cases = cases.replace("ALL", all);
     for case in cases.replace("COUPLING", coupling).trim().lines() {
         let (more, message) = case.split_once('|').unwrap();
         let error = overlay(&more.trim().replace(" / ", "\n")).unwrap_err();
@@ -157,6 +163,97 @@ fn an_overlay_completes_the_file_beside_it() {
         std::fs::write(here.join("other.toml"), format!("from = '{other}'")).unwrap();
         let error = Robot::load(&file).unwrap_err();
         assert!(error.to_string().ends_with(endless), "{error}");
+    }
+}
+
+#[test]
+fn what_an_overlay_gives_is_not_noted_as_assumed_and_what_it_has_in_degrees_is() {
+    let here = tempfile::tempdir().unwrap();
+    let silent = include_str!("../urdf/tests/two_link.urdf").replace(" effort=\"40\"", "");
+    let silent = silent.replacen("velocity=\"3\"", "velocity=\"0\"", 1);
+    // 20 N·m allow 1.475 rad/s.
+    let silent = silent.replacen("damping=\"0.5\"", "damping=\"10\"", 1);
+    let silent = silent.replacen("xyz=\"0.1 0 0\"", "xyz=\"1.4 0 0\"", 1);
+    let tilted = silent.replacen("xyz=\"0 0 1\"", "xyz=\"0 0 1\" rpy=\"0 0.5 0\"", 1);
+    std::fs::write(here.path().join("arm.urdf"), silent).unwrap();
+    std::fs::write(here.path().join("tilted.urdf"), tilted).unwrap();
+    let import = |name: &str, text: String| {
+        let file = here.path().join(name);
+        std::fs::write(&file, text).unwrap();
+        let whole = crate::urdf::Selection::default();
+        let file = file.display().to_string();
+        let import = Robot::load_selected(&file, &whole).unwrap();
+        (import.notes().join("\n"), import.robot.joints)
+    };
+    let overlay = |more: &str| import("over.toml", format!("from = 'arm.urdf'\n{more}"));
+    let joint = |name: &str, more: &str| format!("[[joints]]\nname = '{name}'\n{more}\n");
+    let starts = [
+        "joint 'shoulder': no velocity limit, 2 rad/s is taken",
+        "joint 'shoulder': no torque limit, 39 N·m is taken",
+        "joint 'elbow' is continuous: its range is taken as",
+        "joint 'elbow': friction takes 75 % of the torque limit at 1.475 rad/s",
+        "no acceleration limit at joints 'shoulder', 'elbow': 10 rad/s² is taken",
+        "drives are not described: rotor inertias 0, gains not known, 17-bit encoders",
+        "the centre of mass of link 'fore' lies 1.40 m",
+    ];
+    let (notes, bare) = overlay("");
+    assert!(starts.iter().all(|start| notes.contains(start)), "{notes}");
+
+    let drive = "drive = { rotor_inertia_kg_m2 = 0.6, gain_nm_a = 9, encoder_bits = 19 }\n";
+    let limits = "limits = { position_rad = [-2, 2], velocity_rad_s = 3, acceleration_rad_s2 = 5, torque_nm = 80 }";
+    let given = format!("{drive}{limits}");
+    let full = joint("shoulder", &given) + &joint("elbow", &given) + "link.com_m = [0.1, 0, 0]";
+    let (notes, _) = overlay(&full);
+    let found = |words: &[&str]| words.iter().any(|word| notes.contains(word));
+    let assumed = [
+        "is taken",
+        "are taken as ±",
+        "drives",
+        "friction takes",
+        "centre",
+    ];
+    assert!(!found(&assumed), "{notes}");
+    for (gravity, noted) in [("", true), ("gravity_m_s2 = [0, 0, 9.81]", false)] {
+        let text = format!("from = 'tilted.urdf'\nbase = 'base'\n{gravity}");
+        let (notes, _) = import("over.toml", text);
+        let is_noted = notes.contains("is tilted against the root");
+        assert_eq!(is_noted, noted, "{notes}");
+    }
+
+    // Of one joint alone; the torque limit that is assumed still, and the speed that a given one allows, follow.
+    let elbow = joint("elbow", "limits.torque_nm = 40\ndrive.gain_nm_a = 9");
+    let shoulder = joint("shoulder", "friction.coulomb_nm = 4");
+    let (notes, joints) = overlay(&(elbow + &shoulder));
+    assert_eq!(joints[0].limits.torque, bare[0].limits.torque + 6.0);
+    assert!((joints[1].limits.velocity - 2.975).abs() < 1e-12);
+    for note in [
+        "no torque limit, 45 N·m is taken",
+        "rotor inertias 0, gains not known (joints 'shoulder'), 17-bit encoders",
+    ] {
+        assert!(notes.contains(note), "{notes}");
+    }
+
+    let degrees = "limits = { position_rad = [-166, 166], velocity_rad_s = 180 }";
+    let asked = [
+        "its range -166 … 166 rad ends beyond a turn: are these degrees?",
+        "its velocity limit is 180 rad/s: are these degrees?",
+    ];
+    let (sound, _) = import("ur5.toml", UR5.to_owned());
+    let both = [
+        "-6.283185307179586, 6.283185307179586",
+        "velocity_rad_s = 3.141592653589793",
+    ];
+    let ur5 = UR5.replacen(both[0], "-166, 166", 1);
+    let ur5 = ur5.replacen(both[1], "velocity_rad_s = 180", 1);
+    let (alone, _) = import("ur5.toml", ur5);
+    let (over, _) = overlay(&joint("elbow", degrees));
+    assert_eq!(sound, "");
+    for question in asked {
+        assert!(alone.contains(question), "{alone}");
+        assert!(
+            over.contains(&format!("joint 'elbow': {question}")),
+            "{over}"
+        );
     }
 }
 

@@ -113,9 +113,17 @@ pub(super) fn read(text: &str) -> Result<Document, String> {
         let reason = format!("<{found}> instead of <robot> or <mujoco>");
         return Err(no_robot(&reason));
     }
+    let is_used = |text: &str| text.contains("${") || text.contains("$(");
+    let uses = |node: Node<'_, '_>| {
+        let mut attributes = node.attributes().map(|attribute| attribute.value());
+        attributes.any(is_used) || node.is_text() && node.text().is_some_and(is_used)
+    };
+    let uses_values = root.descendants().any(uses);
     let is_macro = |node: Node<'_, '_>| {
         let namespace = node.tag_name().namespace();
-        namespace.is_some_and(|n| n.ends_with("xacro"))
+        // Values that nothing uses are none.
+        let is_value = matches!(node.tag_name().name(), "property" | "arg");
+        namespace.is_some_and(|n| n.ends_with("xacro")) && (uses_values || !is_value)
     };
     if root.descendants().any(is_macro) {
         return Err(format!("contains xacro macros{EXPAND}"));

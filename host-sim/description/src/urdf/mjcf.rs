@@ -359,7 +359,7 @@ mod tests {
     fn an_mjcf_is_read_with_its_classes_units_and_anchors() {
         let import = imported(MJCF);
         let [shoulder, elbow] = &import.robot.joints[..] else {
-            panic!("{:?}", import.notes);
+            panic!("{:?}", import.notes());
         };
         assert_eq!(import.robot.gravity.z, -9.8);
         assert_eq!((&*shoulder.name, &*elbow.name), ("shoulder", "elbow"));

@@ -1,7 +1,7 @@
 //! The tree of links: which path is the arm, and what moves as one body.
 
-use super::Selection;
 use super::document::{Document, no_robot};
+use super::{Assumed, Selection};
 use crate::robot::{Link, Placement};
 use nalgebra::{Matrix3, Vector3};
 
@@ -289,11 +289,14 @@ impl<'a> Tree<'a> {
     }
 
     /// One link for everything that joint `joint` moves as one body.
+    ///
+    /// * `silent` takes a mass that the file does not give
     pub(super) fn lumped(
         &self,
         joint: usize,
         frame: &Placement,
         selection: &Selection<'_>,
+        silent: &mut Assumed,
         notes: &mut Vec<String>,
     ) -> Result<Link, String> {
         let moved = self.child[joint];
@@ -340,8 +343,7 @@ impl<'a> Tree<'a> {
             let end = next.map_or(Vector3::new(0.0, 0.0, 0.1), |&joint| {
                 self.document.joints[joint].origin.origin
             });
-            let rod = format!("no inertial data, a rod of {mass} kg is taken");
-            notes.push(of_link(moved, rod));
+            silent.fields.insert("mass_kg");
             parts.push(Link::rod(mass, &end).placed(frame));
         }
         let body = Link::lumped(&parts).ok_or_else(|| {
