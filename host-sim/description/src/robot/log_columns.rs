@@ -33,6 +33,16 @@ impl ColumnNames {
         }
     }
 
+    /// First mark in braces that stands for nothing.
+    pub fn unknown_mark(&self) -> Option<&str> {
+        let Self::Pattern(pattern) = self else {
+            return None;
+        };
+        let parts = pattern.match_indices('{').map(|(at, _)| &pattern[at..]);
+        let mut marks = parts.filter_map(|part| part.get(..=part.find('}')?));
+        marks.find(|mark| !["{}", "{0}", "{1}", "{name}"].contains(mark))
+    }
+
     /// Text around `{name}` in the pattern.
     pub fn around_name(&self) -> Option<(&str, &str)> {
         match self {
@@ -111,10 +121,15 @@ impl Units {
     pub fn over(self, below: Option<Self>) -> Self {
         let Some(below) = below else { return self };
         let given = std::array::from_fn(|k| self.given[k].or(below.given[k]));
-        // Of two units of one quantity the later one holds.
-        let texts = [below.text, self.text].into_iter();
-        let texts: Vec<String> = texts.filter(|text| !text.is_empty()).collect();
-        let text = texts.join(",");
+        let is_replaced = |part: &&str| {
+            let quantity = part.split('=').next().unwrap_or_default().trim();
+            let mut pairs = QUANTITIES.iter().zip(&self.given);
+            pairs.any(|(known, unit)| *known == quantity && unit.is_some())
+        };
+        let parts = below.text.split(',').filter(|part| !is_replaced(part));
+        let parts = parts.chain(self.text.split(','));
+        let parts: Vec<&str> = parts.filter(|part| !part.is_empty()).collect();
+        let text = parts.join(",");
         Self { text, given }
     }
 
@@ -155,7 +170,10 @@ impl FromStr for Units {
                 let known = known.join(", ");
                 return Err(format!("'{unit}' is no unit of {quantity}: {known}"));
             };
-            given[place] = Some(sign * scale);
+            let scale = sign * scale;
+            if given[place].replace(scale).is_some_and(|one| one != scale) {
+                return Err(format!("two units of {quantity}: keep one of them"));
+            }
         }
         let text = text.to_owned();
         Ok(Self { text, given })
@@ -247,6 +265,13 @@ impl LogColumns {
         }
     }
 
+    /// Columns of positions, velocities, accelerations, torques and currents.
+    pub fn quantities(&self) -> [Option<&ColumnNames>; 5] {
+        let motion = [&self.q_rad, &self.qd_rad_s, &self.qdd_rad_s2];
+        let [q, qd, qdd] = motion.map(Option::as_ref);
+        [q, qd, qdd, self.tau_nm.as_ref(), self.i_a.as_ref()]
+    }
+
     /// Columns of the known sources, by name. A source may write its columns in more than one way.
     pub fn known() -> Vec<(String, Self)> {
         #[derive(Deserialize)]
@@ -283,6 +308,15 @@ mod tests {
         let list = ColumnNames::List(vec!["a".to_owned(), "b".to_owned()]);
         assert_eq!(list.of(1, "x").as_deref(), Some("b"));
         assert_eq!(list.of(2, "x"), None);
+        for (pattern, unknown) in [
+            ("pos_{nam}_{}", Some("{nam}")),
+            ("{name}/{2}", Some("{2}")),
+            ("{q{name}", Some("{q{name}")),
+            ("{name}_{0}{1}{}", None),
+        ] {
+            let names = ColumnNames::Pattern(pattern.to_owned());
+            assert_eq!(names.unknown_mark(), unknown);
+        }
     }
 
     #[test]
@@ -301,9 +335,15 @@ mod tests {
         assert_eq!(both.scale(None)[..2], [1e-3, -degree]);
         assert_eq!(both.scale(None)[3..], [-degree, -1.0, 1.0]);
         let text = String::from(both.clone());
+        assert_eq!(text, "qd=rpm,t=ms,q=-deg,tau=-Nm,i=A");
         assert_eq!(text.parse::<Units>().expect("known").given, both.given);
+        assert!("q=deg,t=ms,q=deg".parse::<Units>().is_ok());
         for wrong in ["q=grad", "q=--deg", "t=-s", "speed=rad", "q", ""] {
             assert!(wrong.parse::<Units>().is_err(), "{wrong}");
+        }
+        for wrong in ["q=deg,q=rad", "q=deg,t=s, q =-deg"] {
+            let refused = wrong.parse::<Units>().expect_err(wrong);
+            assert!(refused.starts_with("two units of "), "{refused}");
         }
         for (name, columns) in LogColumns::known() {
             assert!(LOG_SOURCES.contains(&&*name) && columns.units.is_some());

@@ -1,6 +1,7 @@
 //! Logs: the project's own columns, or foreign ones through the map of the robot description.
 
-use super::log_search::{has, is_there, joint_places, likeness, no_columns, no_times};
+use super::log_search::{asked, has, is_there, joint_places, likeness};
+use super::log_search::{names_in_log, no_columns, no_times, rank};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
 use crate::table::{Remedies, Rows, TableError, Topics};
@@ -115,7 +116,7 @@ fn map_of(
     let own = ["q0_rad", "q1_rad", "q2_rad", "tau1_nm", "i1_a"];
     let own = given.source.is_none() && own.iter().any(|name| has(rows, name));
     let is_named = |map: &LogColumns| map.q_rad.iter().any(|q| is_there(rows, q, robot));
-    let by_map = is_named(&given);
+    let by_map = is_named(&given) || (given.required && given.q_rad.is_some());
     if own || by_map {
         return Ok((given, by_map));
     }
@@ -127,15 +128,23 @@ fn map_of(
         let mut names = names.map(String::as_str).chain(["t_s"]);
         given.rate_hz.is_some() || names.any(|name| has(rows, name))
     };
-    let timed = known.iter().find(|(_, map)| is_timed(map));
-    let Some((source, map)) = timed.or(known.first()).cloned() else {
+    // The first one of those that fit best.
+    let best = (known.iter().rev()).max_by_key(|(_, map)| (is_timed(map), rank(rows, map, robot)));
+    let Some((source, map)) = best.cloned() else {
         return Err(no_columns(rows, robot));
     };
     notes.push(format!("{}: columns of {source}", rows.path.display()));
     let t_s = given.t_s.filter(|name| given.required || has(rows, name));
+    let by_file = |names: Option<ColumnNames>| names.filter(|_| given.required);
+    let [qd, qdd, tau, i] =
+        [given.qd_rad_s, given.qdd_rad_s2, given.tau_nm, given.i_a].map(by_file);
     let map = LogColumns {
         t_s: t_s.or(map.t_s.filter(|_| given.rate_hz.is_none())),
         rate_hz: given.rate_hz,
+        qd_rad_s: qd.or(map.qd_rad_s),
+        qdd_rad_s2: qdd.or(map.qdd_rad_s2),
+        tau_nm: tau.or(map.tau_nm.filter(|_| i.is_none())),
+        i_a: i.or(map.i_a),
         effort: given.effort.or(map.effort),
         gear_ratios: given.gear_ratios,
         all_units: given.all_units,
@@ -163,9 +172,19 @@ impl LogReader {
             named: topic.as_deref(),
             likeness: &|names| likeness(names, q_rad.as_ref(), robot),
         };
-        let names = given.names.clone();
-        let mut rows = Rows::named(path, &names, &topics)?;
+        let mut rows = Rows::named(path, &given.names, &topics)?;
         let mut notes = rows.notes.clone();
+        let names = given.names.clone();
+        // What a file names must be there.
+        let file = given.clone();
+        let required = file
+            .quantities()
+            .map(|names| file.required && names.is_some());
+        let [.., tau_required, i_required] = required;
+        if tau_required && i_required {
+            let problem = "tau_nm and i_a in one map of columns: keep one of them";
+            return Err(TableError::at(path, None, problem));
+        }
         let (map, mapped) = map_of(&rows, given, robot, &mut notes)?;
         let all_units = map.all_units.clone().unwrap_or_default();
         let [own_units, map_units] = [None, map.units.clone()]
@@ -180,7 +199,10 @@ impl LogReader {
                 let problem = format!("rate_hz is {hz}, no number of rows a second");
                 return Err(TableError::at(path, None, problem));
             }
-            (None, Some(name), _) if map.required || has(&rows, name) => {
+            (None, Some(name), _) if file.required && file.t_s.is_some() => {
+                Time::Column(asked(&rows, name)?, map_units[0])
+            }
+            (None, Some(name), _) if has(&rows, name) => {
                 Time::Column(rows.require(name)?, map_units[0])
             }
             (None, _, Some(place)) => Time::Column(place, own_units[0]),
@@ -193,19 +215,21 @@ impl LogReader {
                 back: "sort the rows by time, or cut the log here",
             };
         }
-        let quantity = |unit: usize, name, names: &Option<ColumnNames>| {
-            let found = joint_places(&rows, name, (names.as_ref(), map.required), robot)?;
+        let in_log = names_in_log(&rows, &map, robot)?;
+        let quantity = |kind: usize, name| {
+            let names = (map.quantities()[kind], required[kind]);
+            let found = joint_places(&rows, name, names, in_log[kind / 3].as_deref(), robot)?;
             Ok::<_, TableError>(found.map(|(places, own)| -> Columns {
                 let units = if own { own_units } else { map_units };
-                places.map(|place| (place, units[unit]))
+                places.map(|place| (place, units[kind + 1]))
             }))
         };
-        let q = quantity(1, ("q", "rad"), &map.q_rad)?.ok_or_else(|| match map.required {
+        let q = quantity(0, ("q", "rad"))?.ok_or_else(|| match file.required {
             true => rows.missing("q1_rad"),
             false => no_columns(&rows, robot),
         })?;
-        let mut qd = quantity(2, ("qd", "rad_s"), &map.qd_rad_s)?;
-        let mut qdd = quantity(3, ("qdd", "rad_s2"), &map.qdd_rad_s2)?;
+        let mut qd = quantity(1, ("qd", "rad_s"))?;
+        let mut qdd = quantity(2, ("qdd", "rad_s2"))?;
         if qd.is_some() || qdd.is_some() {
             let empty = Rows::named(path, &names, &topics)?.empty_columns()?;
             for (columns, kind) in [(&mut qd, "velocities"), (&mut qdd, "accelerations")] {
@@ -219,14 +243,17 @@ impl LogReader {
                 }
             }
         }
-        let torque = quantity(4, ("tau", "nm"), &map.tau_nm)?;
+        let torque = match i_required {
+            true => None,
+            false => quantity(3, ("tau", "nm"))?,
+        };
         let effort = match torque {
             Some(_) => map.effort.unwrap_or_default(),
             None => EffortKind::Current,
         };
         let mut tau = match torque {
             Some(tau) => tau,
-            None => quantity(5, ("i", "a"), &map.i_a)?.ok_or_else(|| rows.missing("tau1_nm"))?,
+            None => quantity(4, ("i", "a"))?.ok_or_else(|| rows.missing("tau1_nm"))?,
         };
         if map.effort.unwrap_or(effort) != effort {
             let name = &rows.header[tau[0].0];
@@ -268,12 +295,21 @@ impl LogReader {
         let by_name = map.q_rad.as_ref();
         let by_name = by_name.filter(|names| mapped && names.around_name().is_some());
         let first = by_name.and_then(|names| names.of(0, &robot.joints[0].name));
-        if first.is_some_and(|first| !has(&rows, &first)) {
+        if first.is_some_and(|first| rows.find(&first).ok().flatten() != Some(q[0].0)) {
             notes.push(format!(
                 "{}: joint {} of the description is {} there, and so on",
                 path.display(),
                 robot.joints[0].name,
                 rows.header[q[0].0]
+            ));
+        }
+        if let [Some(motion), Some(torque)] = &in_log
+            && motion != torque
+        {
+            let [q, tau] = [q, tau].map(|columns| &rows.header[columns[0].0]);
+            let name = path.display();
+            notes.push(format!(
+                "{name}: positions are of {q}, torques of {tau}, and so on"
             ));
         }
         if effort == EffortKind::Current {

@@ -1,8 +1,9 @@
 //! Search for the columns of each quantity in the header of a log.
 
 use crate::dynamics::PerJoint;
-use crate::robot::{ColumnNames, LOG_SOURCES, Robot};
+use crate::robot::{ColumnNames, LOG_SOURCES, LogColumns, Robot};
 use crate::table::{Rows, TableError};
+use std::collections::HashSet;
 
 /// The log has a column of that name, or several.
 pub(super) fn has(rows: &Rows, name: &str) -> bool {
@@ -65,17 +66,170 @@ pub(super) fn likeness(names: &[String], mapped: Option<&ColumnNames>, robot: &R
     usize::from(same && there.len() == ours.len())
 }
 
+/// Names of the joints of the arm in a log, in the order of the description.
+type Names = Vec<String>;
+
+/// Beginnings and ends around all of the `cores` among more names: a gripper has joints of its own, and so has a second arm.
+fn framed(there: &[&str], cores: &[&str]) -> Vec<Names> {
+    let Some(longest) = cores.iter().max_by_key(|core| core.len()) else {
+        return Vec::new();
+    };
+    let all: HashSet<&str> = there.iter().copied().collect();
+    let mut found: Vec<Names> = Vec::new();
+    for name in there {
+        for (at, _) in name.char_indices() {
+            let (head, rest) = name.split_at(at);
+            let Some(tail) = rest.strip_prefix(longest) else {
+                continue;
+            };
+            let cores = cores.iter().map(|core| format!("{head}{core}{tail}"));
+            let names: Names = cores.collect();
+            let is_whole = names.iter().all(|name| all.contains(name.as_str()));
+            if is_whole && !found.contains(&names) {
+                found.push(names);
+            }
+        }
+    }
+    found
+}
+
+fn is_ours(names: &[String], robot: &Robot) -> bool {
+    names.iter().eq(robot.joints.iter().map(|own| &own.name))
+}
+
+/// Names under which the joints have a column each: those of the description, and those that differ from them in what all of
+/// them begin and end with.
+fn names_there(rows: &Rows, columns: &ColumnNames, robot: &Robot) -> Vec<Names> {
+    let ours: Vec<&str> = robot.joints.iter().map(|own| own.name.as_str()).collect();
+    let column = |(joint, own): (usize, &&str)| columns.of(joint, own);
+    let mut own = ours.iter().enumerate().map(column);
+    let is_exact = own.all(|own| own.is_some_and(|own| has(rows, &own)));
+    let exact = is_exact.then(|| ours.iter().map(|own| (*own).to_owned()).collect());
+    let mut found = framed(&joints_of_log(rows, columns), &cores(&ours));
+    found.retain(|names| !is_ours(names, robot));
+    exact.into_iter().chain(found).collect()
+}
+
+/// Names of the joints in the columns of positions and in those of torques or currents: the same ones where some have both,
+/// which are of one arm and one topic.
+fn names_of_both(rows: &Rows, map: &LogColumns, robot: &Robot) -> (bool, [Vec<Names>; 2]) {
+    let [q, _, _, tau, i] = map.quantities().map(|columns| {
+        let found = columns.map(|columns| names_there(rows, columns, robot));
+        found.unwrap_or_default()
+    });
+    let torques = if tau.is_empty() { i } else { tau };
+    let mut both = q.clone();
+    both.retain(|names| torques.contains(names));
+    match both.is_empty() {
+        true => (false, [q, torques]),
+        false => (true, [both.clone(), both]),
+    }
+}
+
+/// Rank of a map for a log: it has positions and torques by the names of the description, and of how many arms and topics.
+pub(super) fn rank(rows: &Rows, map: &LogColumns, robot: &Robot) -> (bool, usize) {
+    let (is_of_one, [names, _]) = names_of_both(rows, map, robot);
+    let count = if is_of_one { names.len() } else { 0 };
+    let is_exact = is_of_one && names.iter().any(|names| is_ours(names, robot));
+    (is_exact, count)
+}
+
+/// Names of the joints in the columns of motions and in those of torques; `None` without a column of all joints.
+///
+/// Errors: several arms or topics, and none with the names of the description.
+pub(super) fn names_in_log(
+    rows: &Rows,
+    map: &LogColumns,
+    robot: &Robot,
+) -> Result<[Option<Names>; 2], TableError> {
+    let (_, sets) = names_of_both(rows, map, robot);
+    let chosen = sets.each_ref().map(|sets| {
+        let exact = sets.iter().find(|names| is_ours(names, robot));
+        exact.or(sets.first()).cloned()
+    });
+    let quantities = map.quantities();
+    let [q, .., tau, i] = quantities;
+    for (sets, columns) in sets.iter().zip([q, tau.or(i)]) {
+        if sets.len() < 2 || sets.iter().any(|names| is_ours(names, robot)) {
+            continue;
+        }
+        let first = |names: &Names| columns?.of(0, names.first()?);
+        let mut all: Vec<String> = sets.iter().filter_map(first).collect();
+        if all.len() > SHOWN_ARMS {
+            all.splice(SHOWN_ARMS.., ["…".to_owned()]);
+        }
+        let time = map.t_s.iter().filter(|name| has(rows, name));
+        let time = time.map(|name| format!("t_s = \"{name}\""));
+        let keys = ["q_rad", "qd_rad_s", "qdd_rad_s2", "tau_nm", "i_a"];
+        let lines = (0..keys.len()).filter_map(|kind| {
+            let (columns, names) = (quantities[kind]?, chosen[kind / 3].as_ref()?);
+            let there = columns.of(0, names.first()?)?;
+            has(rows, &there)
+                .then(|| format!("{} = {}", keys[kind], written(columns, names, robot)))
+        });
+        let units = map
+            .units
+            .iter()
+            .filter(|units| units.scale(None) != [1.0; 6]);
+        let units = units.map(|units| format!("units = \"{}\"", String::from(units.clone())));
+        let lines: Vec<String> = time.chain(lines).chain(units).collect();
+        return Err(rows.header_error(format!(
+            "several arms or topics have the joints: {}: write {}, or those of another, one a line, into a file for --columns-from",
+            all.join(", "),
+            lines.join(", ")
+        )));
+    }
+    Ok(chosen)
+}
+
+/// Arms or topics that a refusal lists.
+const SHOWN_ARMS: usize = 6;
+
+/// Columns in TOML: a pattern where the names hold those of the description, else a list.
+fn written(columns: &ColumnNames, names: &[String], robot: &Robot) -> String {
+    let pattern = || {
+        let (before, after) = columns.around_name()?;
+        let (head, tail) = names.first()?.split_once(&robot.joints[0].name)?;
+        let mut ours = robot.joints.iter().map(|own| &own.name);
+        let is_so = names.iter().all(|name| {
+            let own = name
+                .strip_prefix(head)
+                .and_then(|name| name.strip_suffix(tail));
+            own == ours.next().map(String::as_str)
+        });
+        is_so.then(|| format!("\"{before}{head}{{name}}{tail}{after}\""))
+    };
+    let column = |(joint, name): (usize, &String)| columns.of(joint, name);
+    pattern().unwrap_or_else(|| {
+        let all: Vec<String> = names.iter().enumerate().filter_map(column).collect();
+        format!("{all:?}")
+    })
+}
+
+/// Place of a column that the file of `--columns-from` names.
+pub(super) fn asked(rows: &Rows, name: &str) -> Result<usize, TableError> {
+    rows.find(name)?.ok_or_else(|| {
+        let way = "mend its name in the file of --columns-from";
+        rows.header_error(format!("column {name} is missing: {way}"))
+    })
+}
+
 /// Columns of one quantity for all joints, and whether they have the project's own names; `None` without a column of it.
 ///
 /// * `mapped` names of the map, and whether they must be there
+/// * `in_log` names of the joints in the log
 pub(super) fn joint_places(
     rows: &Rows,
     (name, unit): (&str, &str),
     (mapped, required): (Option<&ColumnNames>, bool),
+    in_log: Option<&[String]>,
     robot: &Robot,
 ) -> Result<Option<(PerJoint<usize>, bool)>, TableError> {
     let joints = robot.joint_count();
-    let joint_name = |joint: usize| robot.joints.get(joint).map_or("", |own| own.name.as_str());
+    let joint_name = |joint: usize| match in_log {
+        Some(names) => names.get(joint).map_or("", String::as_str),
+        None => robot.joints.get(joint).map_or("", |own| own.name.as_str()),
+    };
     let numbered = |number: usize| format!("{name}{number}_{unit}");
     let from_0 = has(rows, &numbered(0));
     let own = |joint: usize| Some(numbered(joint + usize::from(!from_0)));
@@ -84,18 +238,32 @@ pub(super) fn joint_places(
         let mut names = (0..=joints).filter_map(name);
         names.any(|name| has(rows, &name))
     };
-    let is_own = !any(&foreign) && any(&own) && !(required && mapped.is_some());
+    let required = mapped.filter(|_| required);
+    let is_own = !any(&foreign) && any(&own) && required.is_none();
     let chosen: &dyn Fn(usize) -> Option<String> = match (is_own, any(&foreign)) {
         (true, _) => &own,
         (false, true) => &foreign,
         (false, false) => {
-            let found = renamed(rows, mapped, robot)?;
-            if let (None, true, Some(_)) = (&found, required, mapped) {
-                let problem = format!("{name} has one column for all joints: write {{}}");
-                let first = foreign(0).ok_or_else(|| rows.header_error(problem))?;
-                rows.require(&first)?;
+            let others = mapped.filter(|_| in_log.is_none());
+            let others = others.map(|mapped| joints_of_log(rows, mapped));
+            if let Some(others) = others.filter(|others| !others.is_empty()) {
+                let ours: Vec<&str> = (0..joints).map(joint_name).collect();
+                let (others, ours) = (others.join(", "), ours.join(", "));
+                return Err(rows.header_error(format!(
+                    "the log has joints {others}, the robot {ours}: name the columns by --columns-from FILE"
+                )));
             }
-            return Ok(found.map(|found| (found, false)));
+            let Some(required) = required else {
+                return Ok(None);
+            };
+            let problem = match required.unknown_mark() {
+                Some(mark) => format!("{mark} is none of {{}}, {{0}}, {{1}} and {{name}}"),
+                None => format!("{name} has one column for all joints: write {{}}"),
+            };
+            let first = foreign(0).filter(|_| required.unknown_mark().is_none());
+            let first =
+                first.ok_or_else(|| rows.header_error(format!("{name}_{unit}: {problem}")))?;
+            return asked(rows, &first).map(|_| None);
         }
     };
     let last = numbered(joints);
@@ -118,7 +286,10 @@ pub(super) fn joint_places(
             let problem = format!("{name}: {joint} names of columns for {joints} joints");
             return Err(rows.header_error(problem));
         };
-        *column = rows.require(&name)?;
+        *column = match required {
+            Some(_) => asked(rows, &name)?,
+            None => rows.require(&name)?,
+        };
     }
     for (joint, column) in columns.iter().enumerate() {
         if let Some(before) = columns.iter().take(joint).position(|other| other == column) {
@@ -131,57 +302,6 @@ pub(super) fn joint_places(
         }
     }
     Ok(Some((columns, is_own)))
-}
-
-/// Places of `cores` among more names, where one beginning and one end go with all of them: a gripper has joints of its own.
-fn framed(there: &[&str], cores: &[&str]) -> Option<Vec<usize>> {
-    let first = cores.first().filter(|core| !core.is_empty())?;
-    let within = |name: &&str| -> Vec<(String, String)> {
-        let places = name.match_indices(first);
-        places
-            .map(|(at, _)| (name[..at].to_owned(), name[at + first.len()..].to_owned()))
-            .collect()
-    };
-    there.iter().flat_map(within).find_map(|(head, tail)| {
-        let place = |core: &&str| {
-            let own = format!("{head}{core}{tail}");
-            there.iter().position(|name| **name == own)
-        };
-        cores.iter().map(place).collect()
-    })
-}
-
-/// Columns by names of joints that differ from those of the description in what all of them begin and end with.
-fn renamed(
-    rows: &Rows,
-    mapped: Option<&ColumnNames>,
-    robot: &Robot,
-) -> Result<Option<PerJoint<usize>>, TableError> {
-    let Some(mapped) = mapped else {
-        return Ok(None);
-    };
-    let there = joints_of_log(rows, mapped);
-    if there.is_empty() {
-        return Ok(None);
-    }
-    let ours: Vec<&str> = robot.joints.iter().map(|own| own.name.as_str()).collect();
-    let (cores_there, cores_ours) = (cores(&there), cores(&ours));
-    let mut columns = PerJoint::repeat(ours.len(), 0);
-    let framed = framed(&there, &cores_ours);
-    for (joint, (column, core)) in columns.iter_mut().zip(&cores_ours).enumerate() {
-        let place = cores_there.iter().position(|other| other == core);
-        let place = place.filter(|_| there.len() == ours.len());
-        let Some(place) = place.or(framed.as_ref().map(|framed| framed[joint])) else {
-            let problem = format!(
-                "the log has joints {}, the robot {}: name the columns by --columns-from FILE",
-                there.join(", "),
-                ours.join(", ")
-            );
-            return Err(rows.header_error(problem));
-        };
-        *column = rows.require(&mapped.of(0, there[place]).unwrap_or_default())?;
-    }
-    Ok(Some(columns))
 }
 
 /// The error of a log without times.
@@ -228,11 +348,13 @@ pub(super) fn no_columns(rows: &Rows, robot: &Robot) -> TableError {
         None => "rate_hz = …  # rows a second".to_owned(),
     };
     let asked = ["des", "target", "cmd", "ref", "con"];
+    let torques = ["tau", "torq", "eff", "moment", "_nm"];
+    let others = ["qd", "dq", "rad_s", "vel", "speed", "acc", "iq", "cur"];
     let q = guess(
         &["q", "pos", "ang", "_rad"],
-        &[&asked[..], &["qd", "dq", "rad_s", "torq"]].concat(),
+        &[&asked[..], &torques, &others].concat(),
     );
-    let tau = guess(&["tau", "torq", "eff", "moment", "_nm"], &asked);
+    let tau = guess(&torques, &asked);
     let all = header[..header.len().min(SHOWN)].join(", ");
     let more = if header.len() > SHOWN { ", …" } else { "" };
     // Positions and torques need as many.
@@ -259,8 +381,16 @@ mod tests {
         assert_eq!(cores(&["a_joint", "wrist_joint"]), ["a", "wrist"]);
         assert_eq!(cores(&["aa", "aaa"]), ["", "a"]);
         let there = ["l_grip", "l_wrist_j", "l_base_j", "l_tip_j"];
-        assert_eq!(framed(&there, &["base", "wrist"]), Some(vec![2, 1]));
-        assert_eq!(framed(&there, &["base", "elbow"]), None);
+        assert_eq!(
+            framed(&there, &["base", "wrist"]),
+            [["l_base_j", "l_wrist_j"]]
+        );
+        assert!(framed(&there, &["base", "elbow"]).is_empty());
+        let two = ["r1", "l1", "l11", "r11", "l111"];
+        let sets = [["l1", "l11"], ["l11", "l111"], ["r1", "r11"]];
+        let mut found = framed(&two, &["1", "11"]);
+        found.sort();
+        assert_eq!(found, sets);
     }
 
     #[test]
@@ -273,6 +403,13 @@ mod tests {
             "headless.csv" => lines[1..5].concat(),
             "marked.csv" => format!("# by hand\n# 2\n{}", lines[1..5].concat()),
             "late.csv" => own.replace("\n1,", "\n# mark\n1,").replace("51.5", "") + "# end\n",
+            "echo.csv" => lines[1..5].iter().map(|row| format!("x,,{row}")).collect(),
+            "words.csv" => table(
+                ["q_effort{0}", "ang_vel{0}", "jnt_pos{0}"],
+                "T",
+                ",",
+                [1.0; 4],
+            ),
             "renamed.csv" => format!("# by hand\n\n{}", own.replace("tau", "load")),
             "twice.csv" => [&lines[..3], &lines[2..]].concat().concat(),
             "back.csv" => [&lines[..1], &lines[9..], &lines[1..9]].concat().concat(),
@@ -301,6 +438,8 @@ mod tests {
 headless.csv | headless.csv:1: no header row, 19 numbers: name the columns by --names
 marked.csv | marked.csv:3: no header row, 19 numbers
 late.csv | late.csv:9: column tau6_nm
+echo.csv | echo.csv:1: no header row, 21 fields with numbers among them: name the columns by --names
+words.csv | q_rad = \"jnt_pos{0}\"\\ntau_nm = \"q_effort{0}\"
 renamed.csv | renamed.csv:3: column tau1_nm is missing
 twice.csv | twice.csv:4: column t_s: 0.25 does not come after 0.25: rows that are written twice: keep one of each; coarse stamps of even rows: leave t_s out and give rate_hz
 back.csv | back.csv:54: column t_s: 0 does not come after 14.75: sort the rows by time, or cut the log here

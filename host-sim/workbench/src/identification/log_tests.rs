@@ -220,8 +220,17 @@ fn every_source_gives_the_same_rows() {
     let names: Vec<String> = header.split(',').map(str::to_owned).collect();
     let list = "[\"a0\", \"a1\", \"a2\", \"a3\", \"a4\", \"a5\"]";
     let map = "t_s = \"T\"\nqd_rad_s = \"b{0}\"\ntau_nm = \"c{0}\"\nunits = \"t=ms,q=deg,tau=mNm\"\nq_rad = ";
+    let echoed: String = headless.lines().map(|row| format!("x,,{row}\n")).collect();
+    let of_text = ["text", "empty"].map(str::to_owned).into_iter();
+    let percent = map.replacen('T', "%time", 1) + "\"a{0}\"";
     for (text, names, columns) in [
-        (&*plain, Vec::new(), format!("{map}\"a{{0}}\"")),
+        (
+            &*echoed,
+            of_text.chain(names.clone()).collect(),
+            String::new(),
+        ),
+        (&plain.replacen('T', "%time", 1), Vec::new(), percent),
+        (&plain, Vec::new(), format!("{map}\"a{{0}}\"")),
         (&plain, Vec::new(), format!("{map}{list}")),
         (headless, names.clone(), String::new()),
         (
@@ -304,8 +313,13 @@ fn a_required_map_wins_over_own_names() {
     }
     // Maps, and the words of the refusal.
     let cases = "\
-q_rad = 'pos{}' | column pos1 is missing
-q_rad = 'q{2}_rad' | q has one column for all joints
+q_rad = 'pos{}' | column pos1 is missing: mend its name in the file of --columns-from
+q_rad = 'q{2}_rad' | q_rad: {2} is none of {}, {0}, {1} and {name}
+q_rad = 'pos_{nam}_{}' | q_rad: {nam} is none of
+q_rad = 'q' | q_rad: q has one column for all joints: write {}
+qd_rad_s = 'speed_{name}' | column speed_shoulder_pan is missing
+i_a = 'current{}' | column current1 is missing
+tau_nm = 'a{}';i_a = 'a{}' | tau_nm and i_a in one map of columns: keep one
 tau_nm = ['a1', 'a2'] | 2 names of columns for 6 joints
 t_s = 'time' | column time is missing
 rate_hz = 100.0;t_s = 't_s' | keep one of them
@@ -334,6 +348,124 @@ tau_nm = 'a' | tau has one column for all joints: write {}";
     let error = super::with_gains(&robot, &[path], 0.05).expect_err("no standstill");
     let wanted = "standstill does not show the gain of joint 3: give --drive-gains";
     assert!(error.to_string().contains(wanted), "{error}");
+}
+
+#[test]
+fn positions_and_torques_are_of_one_topic_and_one_arm() {
+    // Two tables side by side, of which only the first one has times.
+    let beside = |left: &str, right: &str| -> String {
+        let rows = left.lines().zip(right.lines());
+        let rows = rows.map(|(left, right)| format!("{left},{right}\n"));
+        rows.collect()
+    };
+    let topic = |head: &str, of_torque: &str, wrong: f64| {
+        let quantities = ["position", "velocity", of_torque];
+        let names = quantities.map(|quantity| format!("{head}{{name}}/{quantity}"));
+        let names = names.each_ref().map(String::as_str);
+        table(names, "__time", ",", [1.0, wrong, wrong, wrong])
+    };
+    let states = topic("/robot/joint_states/", "effort", 1.0);
+    for head in ["/arm_controller/command/", "", "/joint_states/"] {
+        let commands = topic(head, "other", 0.5);
+        let commands = commands.replace("__time", "other_time");
+        for text in [beside(&states, &commands), beside(&commands, &states)] {
+            let (rows, notes) = read_text("commands.csv", &text, &ur5()).expect(head);
+            is_the_motion(&rows, head);
+            assert!(rows[9].qd != [0.0; 6].into(), "{head}");
+            let there = "is /robot/joint_states/shoulder_pan/position there";
+            assert!(notes.contains(there), "{notes}");
+        }
+    }
+    // The names of the description win.
+    let both = beside(
+        &topic("/cmd/", "effort", 0.5),
+        &topic("/joint_states/", "effort", 1.0),
+    );
+    let both = both.replacen("__time", "other_time", 1);
+    is_the_motion(
+        &read_text("exact.csv", &both, &ur5()).expect("one").0,
+        "exact",
+    );
+    // Positions in one topic, and torques in another.
+    let efforts = table(
+        ["/a/{name}/x", "/a/{name}/y", "/b/{name}/effort"],
+        "x",
+        ",",
+        [1.0; 4],
+    );
+    let parted = beside(&topic("/a/", "other", 1.0), &efforts);
+    let (rows, notes) = read_text("parted.csv", &parted, &ur5()).expect("two topics");
+    is_the_motion(&rows, "parted");
+    let wanted = "positions are of /a/shoulder_pan/position, torques of /b/shoulder_pan/effort";
+    assert!(notes.contains(wanted), "{notes}");
+    // Several that could be meant, and the file that the refusal asks for.
+    let lerobot = LEROBOT.map(|name| name.replace("{name}", "left_{name}"));
+    let lerobot = lerobot.each_ref().map(String::as_str);
+    let left = table(lerobot, "timestamp", ",", [1.0, DEGREE, DEGREE, 1.0]);
+    let right = left.replace("left_", "right_").replace("timestamp", "x");
+    let other = topic("/bbb/", "effort", 0.5).replace("__time", "x");
+    for (one, other, all, units) in [
+        (
+            topic("/aaa/", "effort", 1.0),
+            &other,
+            "/aaa/shoulder_pan/position, /bbb/shoulder_pan/position",
+            "",
+        ),
+        (
+            topic("/joint_states/left_", "effort", 1.0),
+            &other,
+            "/joint_states/left_shoulder_pan/position, /bbb/shoulder_pan/position",
+            "",
+        ),
+        (
+            left,
+            &right,
+            "left_shoulder_pan.pos, right_shoulder_pan.pos",
+            ", units = \"q=deg\"",
+        ),
+    ] {
+        let text = beside(&one, other);
+        let refused = read_text("two.csv", &text, &ur5()).expect_err(all);
+        let start = format!("two.csv:1: several arms or topics have the joints: {all}: write ");
+        let rest = refused.strip_prefix(&start).expect(&refused);
+        let (lines, _) = rest.split_once(", or those").expect("lines of a file");
+        assert!(
+            lines.contains(", qd_rad_s = ") && lines.ends_with(units),
+            "{lines}"
+        );
+        let map: LogColumns = toml::from_str(&lines.replace(", ", "\n")).expect("a map");
+        let map = LogColumns {
+            required: true,
+            all_units: map.units.clone(),
+            ..map
+        };
+        is_the_motion(
+            &read_text("two.csv", &text, &mapped(map)).expect(all).0,
+            all,
+        );
+    }
+    // A name that is not there leaves nothing of the file out.
+    for (map, missing) in [
+        (
+            "t_s = '__time'\nq_rad = '/robot/joint_state/{name}/position'",
+            "/robot/joint_state/shoulder_pan/position",
+        ),
+        (
+            "tau_nm = '/robot/joint_states/{name}/efort'",
+            "/robot/joint_states/shoulder_pan/efort",
+        ),
+    ] {
+        let map: LogColumns = toml::from_str(map).expect("a map");
+        let map = LogColumns {
+            required: true,
+            ..map
+        };
+        let refused = read_text("typo.csv", &states, &mapped(map)).expect_err(missing);
+        assert!(
+            refused.contains(&format!("column {missing} is missing")),
+            "{refused}"
+        );
+    }
 }
 
 #[test]
@@ -414,7 +546,10 @@ fn bags_are_read_as_another_reader_reads_them() {
         let update = "UPDATE messages SET data = ?2 WHERE id = ?1";
         bag.execute(update, (id, data)).expect("writes");
     }
-    let (rows, _) = read(&unstamped, &panda).expect("a bag");
+    let (_, notes) = read(&data.join("panda.db3"), &panda).expect("a bag");
+    assert!(notes.contains("time by the stamps of"), "{notes}");
+    let (rows, notes) = read(&unstamped, &panda).expect("a bag");
+    assert!(notes.contains("time by their receipt"), "{notes}");
     assert_eq!(rows.len(), 713);
     assert!((0.0..0.1).contains(&(rows[1].t_s - rows[0].t_s)));
     let bag = fs::read(data.join("panda.db3")).expect("reads");

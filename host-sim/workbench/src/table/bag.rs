@@ -1,4 +1,5 @@
-//! Joint states of ROS 2 bags: `.db3` (SQLite) and `.mcap`, one row a message, by the stamps of their headers.
+//! Joint states of ROS 2 bags: `.db3` (SQLite) and `.mcap`, one row a message, by the stamps of their headers, else by
+//! their receipt.
 //!
 //! Columns: `t_s` since the first message, then `NAME/position`, `NAME/velocity` and `NAME/effort` of every joint. An MCAP
 //! that this program wrote gives the columns of its topic `/measured`.
@@ -25,8 +26,9 @@ const LONG_RECORD: usize = 1 << 26;
 const QUEUE: usize = 1024;
 
 struct JointState {
-    /// Stamp of the header, ns.
+    /// Stamp of the header, ns, or time of the receipt where it has none.
     stamp_ns: i64,
+    is_stamped: bool,
     /// Names are those of columns, each with one value.
     plain: bool,
     names: Vec<String>,
@@ -120,13 +122,18 @@ pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, Tabl
     let JointState { names, values, .. } = &seen[most];
     let (names, plain) = (names.clone(), seen[most].plain);
     let kinds = [0, 1, 2].map(|kind| values[kind].len() == names.len() && !names.is_empty());
-    let mut empty = ["position", "effort"].into_iter().zip([kinds[0], kinds[2]]);
-    if let Some((field, _)) = empty.find(|(_, is_there)| !plain && !is_there) {
-        let problem = format!("the field {field} is empty in {topic}");
+    let mut lacking = [("position", 0), ("effort", 2)].into_iter();
+    if let Some((field, kind)) = lacking.find(|(_, kind)| !plain && !kinds[*kind]) {
+        let problem = match (values[kind].len(), names.len()) {
+            (0, _) => format!("the field {field} is empty in {topic}"),
+            (found, joints) => {
+                format!("the field {field} has {found} values for {joints} joints in {topic}")
+            }
+        };
         return Err(refused(path, problem));
     }
-    let first = seen.iter().find(|state| is_of(&names, state));
-    let start_ns = first.map_or(0, |state| state.stamp_ns);
+    let own = || seen.iter().filter(|state| is_of(&names, state));
+    let start_ns = own().next().map_or(0, |state| state.stamp_ns);
     let mut header = vec!["t_s".to_owned()];
     for name in &names {
         if plain {
@@ -138,7 +145,11 @@ pub(super) fn open(path: &Path, topics: &Topics<'_>) -> Result<Option<Bag>, Tabl
         header.extend(quantities.map(|(quantity, _)| format!("{name}/{quantity}")));
     }
     if !plain {
-        let (name, time) = (path.display(), "time by the stamps of their headers");
+        let name = path.display();
+        let time = match own().any(|state| state.is_stamped) {
+            true => "time by the stamps of their headers",
+            false => "time by their receipt, for their headers have no stamps",
+        };
         notes.push(format!("{name}: joint states of {topic} by name, {time}"));
     }
     let messages = Messages {
@@ -394,6 +405,7 @@ fn columns(data: &[u8]) -> Option<JointState> {
         .unzip();
     Some(JointState {
         stamp_ns: 0,
+        is_stamped: false,
         plain: true,
         names,
         values: [values, Vec::new(), Vec::new()],
@@ -419,6 +431,7 @@ fn decode(data: &[u8]) -> Option<JointState> {
     let values = [cdr.doubles()?, cdr.doubles()?, cdr.doubles()?];
     Some(JointState {
         plain: false,
+        is_stamped: (seconds, nanoseconds) != (0, 0),
         stamp_ns: i64::from(seconds.cast_signed()) * 1_000_000_000 + i64::from(nanoseconds),
         names,
         values,

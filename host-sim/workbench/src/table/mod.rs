@@ -435,8 +435,8 @@ SOUND | : no rows
         assert!(error.ends_with(wanted), "{error}");
     }
 
-    /// `sensor_msgs/JointState` with these positions, in plain CDR.
-    fn joint_state(nanoseconds: u32, joints: &[(String, f64)]) -> Vec<u8> {
+    /// `sensor_msgs/JointState` with these positions, and so many efforts, in plain CDR.
+    fn joint_state(nanoseconds: u32, joints: &[(String, f64)], efforts: usize) -> Vec<u8> {
         let mut cdr = Vec::new();
         let count = joints.len() as u32;
         for word in [0, nanoseconds, 1, 0, count] {
@@ -448,8 +448,8 @@ SOUND | : no rows
             cdr.extend_from_slice(name.as_bytes());
             cdr.resize((cdr.len() + 1).next_multiple_of(4), 0);
         }
-        for _ in 0..3 {
-            cdr.extend_from_slice(&count.to_le_bytes());
+        for joints in [joints, joints, &joints[..efforts]] {
+            cdr.extend_from_slice(&(joints.len() as u32).to_le_bytes());
             cdr.resize(cdr.len().next_multiple_of(8), 0);
             for (_, value) in joints {
                 cdr.extend_from_slice(&value.to_le_bytes());
@@ -462,38 +462,47 @@ SOUND | : no rows
     fn messages_of_a_hand_with_more_joints_than_the_arm_are_left_out() {
         let directory = tempdir().expect("creates");
         let path = directory.path().join("hand.mcap");
-        let file = fs::File::create(&path).expect("creates");
-        let mut writer = mcap::Writer::new(file).expect("begins");
-        let schema = writer.add_schema("sensor_msgs/msg/JointState", "ros2msg", b"");
-        let channel = writer.add_channel(
-            schema.expect("a schema"),
-            "/joint_states",
-            "cdr",
-            &std::collections::BTreeMap::new(),
-        );
-        let channel_id = channel.expect("a channel");
-        for k in 0..200_u32 {
-            let (name, count) = [("finger", 16), ("shoulder_pan_joint", 7)][k as usize % 2];
-            let names = (0..count).map(|j| match j {
-                0 => name.to_owned(),
-                j => format!("{name}_{j}"),
-            });
-            let joints: Vec<_> = names.map(|name| (name, f64::from(k))).collect();
-            let header = mcap::records::MessageHeader {
-                channel_id,
-                sequence: k,
-                log_time: u64::from(k) * 1_000_000,
-                publish_time: 0,
-            };
-            let message = joint_state(k * 1_000_000, &joints);
-            let written = writer.write_to_known_channel(&header, &message);
-            written.expect("writes");
-        }
-        writer.finish().expect("ends");
+        let write = |efforts: Option<usize>| {
+            let file = fs::File::create(&path).expect("creates");
+            let mut writer = mcap::Writer::new(file).expect("begins");
+            let schema = writer.add_schema("sensor_msgs/msg/JointState", "ros2msg", b"");
+            let channel = writer.add_channel(
+                schema.expect("a schema"),
+                "/joint_states",
+                "cdr",
+                &std::collections::BTreeMap::new(),
+            );
+            let channel_id = channel.expect("a channel");
+            for k in 0..200_u32 {
+                let (name, count) = [("finger", 16), ("shoulder_pan_joint", 7)][k as usize % 2];
+                let names = (0..count).map(|j| match j {
+                    0 => name.to_owned(),
+                    j => format!("{name}_{j}"),
+                });
+                let joints: Vec<_> = names.map(|name| (name, f64::from(k))).collect();
+                let header = mcap::records::MessageHeader {
+                    channel_id,
+                    sequence: k,
+                    log_time: u64::from(k) * 1_000_000,
+                    publish_time: 0,
+                };
+                let message = joint_state(k * 1_000_000, &joints, efforts.unwrap_or(count));
+                let written = writer.write_to_known_channel(&header, &message);
+                written.expect("writes");
+            }
+            writer.finish().expect("ends");
+        };
+        write(None);
         let (header, found) = rows(&path, None).expect("reads");
         assert_eq!(header[1], "shoulder_pan_joint/position");
         assert_eq!((header.len(), found.len()), (22, 100));
         assert_eq!((found[0][0], found[1][1]), (0.0, 3.0));
+        for (efforts, words) in [(0, "is empty in"), (6, "has 6 values for 7 joints in")] {
+            write(Some(efforts));
+            let error = rows(&path, None).expect_err("lacks efforts").to_string();
+            let wanted = format!("the field effort {words} /joint_states");
+            assert!(error.contains(&wanted), "{error}");
+        }
     }
 
     #[test]

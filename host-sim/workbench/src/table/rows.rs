@@ -103,6 +103,11 @@ fn beginning(bytes: &[u8]) -> (Vec<String>, String, usize) {
     (comments, String::new(), length)
 }
 
+/// A name without the sign of a comment, which a header may begin with.
+fn uncommented(name: &str) -> &str {
+    name.trim_start_matches(['#', '%', ' '])
+}
+
 /// Separators of a CSV file in the order in which they are looked for: a comma may be a decimal one.
 const SEPARATORS: [u8; 4] = *b";\t, ";
 
@@ -160,7 +165,13 @@ impl Rows {
         let separator = of_numbers.or(SEPARATORS.into_iter().find(is_there));
         let separator = separator.unwrap_or(b',');
         let fields = split_by(&first, separator);
-        let numbers = are_numbers(&separator);
+        // A row of numbers may have texts. A whole number may be the name of a column.
+        let is_value = |field: &&String| {
+            let is_number = number(field.as_bytes(), separator).is_some();
+            is_number && !field.bytes().all(|byte| byte.is_ascii_digit())
+        };
+        let values = fields.iter().filter(is_value).count();
+        let numbers = are_numbers(&separator) || (values > 0 && 3 * values >= fields.len());
         // The comment that names as many columns as there are numbers is the header.
         let named = |line: &String| split_by(line.trim_start_matches('#'), separator);
         let mut lines = comments.iter().map(named).enumerate();
@@ -171,9 +182,16 @@ impl Rows {
         };
         let has_header = commented.is_some() || !numbers;
         if !has_header && names.is_empty() {
-            let count = fields.len();
+            let found = match are_numbers(&separator) {
+                true => format!("{} numbers", fields.len()),
+                false => {
+                    let line = first.trim_end_matches(char::from(separator));
+                    let count = line.split(char::from(separator)).count();
+                    format!("{count} fields with numbers among them")
+                }
+            };
             let problem =
-                format!("no header row, {count} numbers: name the columns by --names t_s,q1_rad,…");
+                format!("no header row, {found}: name the columns by --names t_s,q1_rad,…");
             return Err(TableError::at(path, header_line, problem));
         }
         let mut reader = csv::ReaderBuilder::new()
@@ -189,8 +207,7 @@ impl Rows {
             names.to_vec()
         } else {
             let found = reader.headers().map_err(|error| unreadable(path, &error))?;
-            let found = found.iter();
-            let found = found.map(|name| name.trim_start_matches(['#', '%', ' ']));
+            let found = found.iter().map(uncommented);
             let found = found.filter(|name| separator != b' ' || !name.is_empty());
             let mut found: Vec<String> = found.map(str::to_owned).collect();
             // A separator ends the header.
@@ -224,7 +241,8 @@ impl Rows {
     /// Place of a column; `None` if the table does not have it.
     pub(crate) fn find(&self, column: &str) -> Result<Option<usize>, TableError> {
         let names = self.header.iter().enumerate();
-        let mut places = names.filter(|(_, name)| *name == column).map(|(k, _)| k);
+        let is_it = |name: &str| uncommented(name) == uncommented(column);
+        let mut places = names.filter(|(_, name)| is_it(name)).map(|(k, _)| k);
         match (places.next(), places.next()) {
             (_, Some(_)) => Err(self.header_error(format!("column {column} appears twice"))),
             (first, None) => Ok(first),
