@@ -383,7 +383,7 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
     let choice = &arguments.board;
     arguments.out.study(|progress| {
         if *choice == BoardChoice::Native {
-            return Ok(soak::run(&config, None, progress)?);
+            return soak::run(&config, None, progress);
         }
         let mut board = choice.connect::<Ur5, JOINTS, PARAMETERS>(None)?;
         let set = ParameterSet::<JOINTS, PARAMETERS>::nominal::<Ur5>(1);
@@ -395,6 +395,6 @@ fn run_soak(arguments: &Soak) -> Result<(), Failure> {
             )),
             other => other.into(),
         })?;
-        Ok(soak::run(&config, Some(&mut board), progress)?)
+        soak::run(&config, Some(&mut board), progress)
     })
 }
