@@ -65,13 +65,13 @@ pub struct Import {
     pub robot: Robot,
     /// One sentence for each part of the file that is left out or changed.
     parts: Vec<String>,
-    /// What is assumed for each joint.
+    /// Assumptions on each joint.
     assumed: Vec<Assumed>,
     /// Gravity of the root is turned into the frame of the base.
     tilted: bool,
 }
 
-/// What is assumed for a joint, or doubted in its file, until an overlay or an option gives it.
+/// Assumptions on a joint, and doubts about its file, until an overlay or an option gives it.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Assumed {
     /// Values that no source gives, by their names in a description.
