@@ -73,6 +73,7 @@ impl<const N: usize> FeedForwardConfig<N> {
 
     /// Lower the torque limit of `joint`, counted from 0, to `torque`, N·m, with the bounds of payload and learnt change that
     /// follow from it. A higher limit, or a joint that the arm has not, changes nothing.
+    #[inline(never)]
     pub fn limit_torque(&mut self, joint: usize, torque: f32) {
         let limits = self.limits.get_mut(joint);
         let Some(limits) = limits.filter(|limits| torque < limits.torque) else {

@@ -155,9 +155,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
     ) -> Result<FeedForwardConfig<N>, BankError> {
         let mut config = feed_forward_config::<A, N, P>(bounds, period_s)?;
         for (joint, &limit) in self.drive_limits.iter().enumerate() {
-            if limit < config.limits[joint].torque {
-                config.limit_torque(joint, limit);
-            }
+            config.limit_torque(joint, limit);
         }
         Ok(config)
     }
