@@ -118,7 +118,7 @@ impl Arguments {
         }
         let mut alone = None;
         if !self.alone {
-            let played = drive.tracking(Box::new(drive.simulated()?), true, &mut |_| true)?;
+            let played = drive.logged(Box::new(drive.simulated()?), true, None)?;
             alone = played.rms_mrad().filter(|_| played.ended.is_none());
             if let Some(reason) = played.ended {
                 show!("PD of the drives alone: {reason}")?;
@@ -370,27 +370,37 @@ impl<'a, A: Arm<N, P> + Send, const N: usize, const P: usize> Drive<'a, A, N, P>
         Ok(())
     }
 
-    fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
-        let out = &self.arguments.out;
-        let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
+    /// Plays the path in the thread of the loop, while this one writes the log and shows the progress.
+    fn logged(
+        &self,
+        network: Box<dyn Network>,
+        alone: bool,
+        mut log: Option<&mut MotionLog<N>>,
+    ) -> Result<Played<A, N, P>, Failure> {
         let (sender, records) = mpsc::channel();
-        let work = || {
+        let work = move || {
             let mut send = |record| sender.send(record).is_ok();
-            let played = self.tracking(network, self.arguments.alone, &mut send);
-            drop(sender);
-            played
+            self.tracking(network, alone, &mut send)
         };
         let write = || {
             let bar = Bar::new();
             for (tick, record) in records.into_iter().enumerate() {
-                log.add(&record)?;
+                if let Some(log) = &mut log {
+                    log.add(&record)?;
+                }
                 if tick % 256 == 0 {
                     bar.show("drive", tick, self.ticks);
                 }
             }
             Ok(())
         };
-        let played = in_loop::<A, N, P, _>(&self.arguments.bus, work, write)?;
+        in_loop::<A, N, P, _>(&self.arguments.bus, work, write)
+    }
+
+    fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
+        let out = &self.arguments.out;
+        let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
+        let played = self.logged(network, self.arguments.alone, Some(&mut log))?;
         log.finish()?;
         let controller = &played.player.controller;
         if self.arguments.alone {

@@ -32,8 +32,8 @@ use core::marker::PhantomData;
 /// How the tick behaves; derived from the arm's limits and the period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardConfig<const N: usize> {
-    /// Limits of the joints; a desired motion outside them is cut to them, a torque too. Torques up to 3e36 N·m: whoever raises
-    /// them above those of the arm answers for that.
+    /// Limits of the joints; a desired motion outside them is cut to them, a torque too. Torques up to 3e36 N·m;
+    /// no check here compares them with those of the arm.
     pub limits: [JointLimits; N],
     /// Largest plausible desired acceleration, rad/s²; beyond it the motion is cut.
     pub acceleration_limit: f32,

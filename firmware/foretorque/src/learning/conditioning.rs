@@ -6,8 +6,9 @@ use crate::joint::{JointMeasurement, JointMotion, JointVector, zero_vector};
 pub const TAPS: usize = 31;
 /// Largest delay of the motion filter, samples: its output describes the middle of the window.
 pub const DELAY: usize = TAPS / 2;
-/// Least delay of the motion filter, samples: as far as the mean of the torques reaches.
+/// Bounds of the delay, samples; the lower one is as far as the mean of the torques reaches.
 pub(super) const LEAST_DELAY: u32 = AVERAGED as u32 / 2;
+pub(super) const MOST_DELAY: u32 = DELAY as u32;
 
 /// Length of a motion filter with this delay, samples.
 pub(super) const fn taps(delay: u32) -> u32 {
@@ -97,8 +98,13 @@ impl<const N: usize> MeasurementWindow<N> {
     /// Empty window.
     ///
     /// * `decimation` ticks of a sample, from 1 on
-    /// * `delay` samples from the middle of the window to its ends, 2 to [`DELAY`]
+    /// * `delay` samples from the middle of the window to its ends, cut to 2 … [`DELAY`]
     pub const fn new(decimation: u32, delay: u32) -> Self {
+        let delay = match delay {
+            0..LEAST_DELAY => LEAST_DELAY,
+            MOST_DELAY.. => MOST_DELAY,
+            _ => delay,
+        };
         Self {
             q: [[0.0; 2 * TAPS]; N],
             tau: [zero_vector(); TORQUES],

@@ -1,4 +1,4 @@
-use super::conditioning::{DELAY, LEAST_DELAY, TAPS, taps};
+use super::conditioning::{LEAST_DELAY, MOST_DELAY, TAPS, taps};
 use super::parameters::LinearParameters;
 use super::prior_covariance::rigid_sigma;
 use super::supervisor::config::SupervisorConfig;
@@ -176,7 +176,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         if !RATES.contains(&self.inv_period) {
             return Err(ConfigError::TooLarge("inv_period"));
         }
-        if !(LEAST_DELAY..=DELAY as u32).contains(&self.delay) {
+        if !(LEAST_DELAY..=MOST_DELAY).contains(&self.delay) {
             return Err(ConfigError::TooLarge("delay"));
         }
         let [friction, rigid] = self.sigma.parts();
@@ -205,8 +205,8 @@ fn motion_filter(period_s: f32, encoder_step: f32) -> (u32, u32) {
     // The delay of a filter as long as 31 samples of `ticks`, to the nearest whole number.
     let delay = (0.5 * TAPS as f32 * ticks) as u32;
     match whole {
-        0 | 1 => (1, delay.clamp(LEAST_DELAY, DELAY as u32)),
-        _ => (whole, DELAY as u32),
+        0 | 1 => (1, delay.clamp(LEAST_DELAY, MOST_DELAY)),
+        _ => (whole, MOST_DELAY),
     }
 }
 

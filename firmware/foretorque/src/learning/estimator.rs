@@ -93,8 +93,9 @@ pub struct Estimator<const N: usize, const P: usize> {
     /// Place in [`RANDOM_WALK_COLUMNS`] of the process noise with the next row of each joint.
     random_walk_turn: [usize; N],
     start: StartDeviations<N, P>,
-    /// Prior factors already in the covariance.
+    /// Prior factors already in the covariance, and rows since it was that of the start.
     factors_added: usize,
+    rows: u32,
 }
 
 impl<const N: usize, const P: usize> Estimator<N, P> {
@@ -147,6 +148,7 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
             random_walk_turn: [0; N],
             start: StartDeviations::PRIOR,
             factors_added: 0,
+            rows: 0,
         }
     }
 
@@ -166,6 +168,12 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
     pub(super) fn reset_covariance(&mut self) {
         self.filter.reset();
         self.factors_added = 0;
+        self.rows = 0;
+    }
+
+    /// Rows in the covariance.
+    pub(super) fn rows(&self) -> u32 {
+        self.rows
     }
 
     /// Replace the estimate by `parameters`; the covariance stays.
@@ -277,10 +285,10 @@ impl<const N: usize, const P: usize> Estimator<N, P> {
         self.filter.update_joint(joint, &phi, f, of_row, &mut gain);
         if !(variance > 0.0 && variance <= f32::MAX) {
             // The factors are lost; the covariance returns to the prior, the estimate stays.
-            self.filter.reset();
-            self.factors_added = 0;
+            self.reset_covariance();
             return None;
         }
+        self.rows = self.rows.saturating_add(1);
         let beyond = innovation * innovation > MEDIAN_SQUARED * variance;
         update_variance(measured, effective_rows, variance, beyond);
         let z = innovation / sigma_innovation;

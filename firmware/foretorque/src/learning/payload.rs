@@ -13,9 +13,10 @@ pub(super) type Payload = [f32; PAYLOAD_PARAMETERS];
 
 pub(super) const NO_PAYLOAD: Payload = [0.0; PAYLOAD_PARAMETERS];
 
-/// Largest distance of a payload's centre of mass from the origin of the last link: two fifths of the stretched arm, and 0.5 m at
-/// least. The flange of an arm that reaches 1 m is up to 0.1 m from it, and a gripper with its body 0.25 m further.
+/// Largest distance of a payload's centre of mass from the origin of the last link, share of the stretched arm.
 const COM_PART: f32 = 0.4;
+/// Least value of that distance, m. The flange of an arm that reaches 1 m is up to 0.1 m from that origin, and a gripper with its
+/// body reaches 0.25 m further.
 const LEAST_COM_DISTANCE: f32 = 0.5;
 /// Distance of the rated payload's centre of mass from that origin, m.
 pub const RATED_COM_DISTANCE: f32 = 0.25;

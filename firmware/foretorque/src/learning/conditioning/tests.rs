@@ -9,7 +9,7 @@ fn at(q: f32, tau: f32) -> JointMeasurement<2> {
 
 #[test]
 fn the_factors_are_those_of_the_sums_over_the_window() {
-    for delay in LEAST_DELAY..=DELAY as u32 {
+    for delay in LEAST_DELAY..=MOST_DELAY {
         let d = delay as i32;
         let sum = |power| (-d..=d).map(|k: i32| k.pow(power) as f32).sum::<f32>();
         let [sum_0, sum_2, sum_4] = [0, 2, 4].map(sum);
@@ -29,7 +29,7 @@ fn the_factors_are_those_of_the_sums_over_the_window() {
 fn a_quadratic_is_read_exactly_with_its_torque() {
     let period = 1e-3f64;
     let (q0, qd0, qdd0) = (5.5, -1.7, 9.0);
-    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
+    let mut window = MeasurementWindow::<2>::new(1, MOST_DELAY);
     for tick in 0..200 {
         let t = f64::from(tick) * period;
         let q = q0 + qd0 * t + 0.5 * qdd0 * t * t;
@@ -46,6 +46,16 @@ fn a_quadratic_is_read_exactly_with_its_torque() {
         let qdd = f64::from(seen.motion.qdd[0]);
         assert!((qdd - qdd0).abs() < 5e-3, "{qdd}");
         assert_eq!(seen.tau[0], (tick - 15) as f32);
+    }
+}
+
+#[test]
+fn no_delay_is_beyond_its_bounds() {
+    for (asked, delay) in [(0, LEAST_DELAY), (9, 9), (99, MOST_DELAY)] {
+        let mut window = MeasurementWindow::<2>::new(1, asked);
+        assert!(window == MeasurementWindow::new(1, delay), "{asked}");
+        (0..40).for_each(|tick| window.push(Some(&at(tick as f32, 0.0))));
+        assert!(window.conditioned(1e3).is_some());
     }
 }
 
@@ -76,7 +86,7 @@ fn a_short_filter_belongs_to_its_middle() {
 #[test]
 fn a_sample_of_several_ticks_is_their_mean_and_belongs_to_its_middle() {
     for decimation in [1u32, 2] {
-        let mut window = MeasurementWindow::<2>::new(decimation, DELAY as u32);
+        let mut window = MeasurementWindow::<2>::new(decimation, MOST_DELAY);
         let mut rows = 0;
         for tick in 0..400 {
             let t = 1e-3 * tick as f32;
@@ -98,7 +108,7 @@ fn a_sample_of_several_ticks_is_their_mean_and_belongs_to_its_middle() {
 #[test]
 fn cogging_passes_the_filter_with_the_stated_gain() {
     for angle in [0.01f32, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.6] {
-        let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
+        let mut window = MeasurementWindow::<2>::new(1, MOST_DELAY);
         for tick in 0..TAPS {
             let phase = angle * (tick as f32 - DELAY as f32);
             window.push(Some(&at(phase.cos(), tick as f32)));
@@ -114,7 +124,7 @@ fn cogging_passes_the_filter_with_the_stated_gain() {
 
 #[test]
 fn another_period_scales_the_derivatives() {
-    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
+    let mut window = MeasurementWindow::<2>::new(1, MOST_DELAY);
     for tick in 0..40 {
         window.push(Some(&at(0.001 * tick as f32, 0.0)));
     }
@@ -131,7 +141,7 @@ fn swinging(tick: usize) -> JointMeasurement<2> {
 fn outputs(
     arrives: impl Fn(usize) -> Option<JointMeasurement<2>>,
 ) -> std::vec::Vec<Option<ConditionedSample<2>>> {
-    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
+    let mut window = MeasurementWindow::<2>::new(1, MOST_DELAY);
     let output = |tick| {
         window.push(arrives(tick).as_ref());
         window.conditioned(1e3)
@@ -201,7 +211,7 @@ fn measurements_of_uneven_age_give_rows_in_every_tick() {
 
 #[test]
 fn a_long_gap_empties_the_window() {
-    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
+    let mut window = MeasurementWindow::<2>::new(1, MOST_DELAY);
     for tick in 0..50 {
         window.push(Some(&swinging(tick)));
     }
@@ -222,7 +232,7 @@ fn a_long_gap_empties_the_window() {
 
 #[test]
 fn after_a_long_gap_of_copies_the_window_fills_twice() {
-    let mut window = MeasurementWindow::<2>::new(1, DELAY as u32);
+    let mut window = MeasurementWindow::<2>::new(1, MOST_DELAY);
     (0..50).for_each(|tick| window.push(Some(&swinging(tick))));
     for _ in 0..=MAX_BRIDGED {
         window.push(Some(&swinging(49)));
@@ -239,7 +249,7 @@ fn after_a_long_gap_of_copies_the_window_fills_twice() {
 #[test]
 fn a_slower_sensor_leaves_rows_to_every_joint() {
     for (decimation, every) in [(1u32, 2), (2, 2), (4, 4), (6, 2), (6, 3)] {
-        let mut window = MeasurementWindow::<6>::new(decimation, DELAY as u32);
+        let mut window = MeasurementWindow::<6>::new(decimation, MOST_DELAY);
         let mut rows = [0; 6];
         for tick in 0..3000_usize {
             let mut measured = JointMeasurement::<6>::zero();

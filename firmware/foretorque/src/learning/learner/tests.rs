@@ -579,7 +579,7 @@ fn friction_learnt_under_a_payload_leaves_the_evidence_of_before_little_weight()
 
 #[test]
 fn a_release_keeps_the_covariance_unless_most_of_it_is_of_the_payload() {
-    for (rows_before, blocks, kept) in [(0, true, false), (0, false, true), (2000, true, true)] {
+    for (rows_before, blocks, kept) in [(0, true, false), (0, false, true), (900, true, true)] {
         let mut learner = learner();
         learn_ticks(&mut learner, 0..600, true);
         let pause = learner.config.supervisor.pause_blocks;
@@ -591,10 +591,23 @@ fn a_release_keeps_the_covariance_unless_most_of_it_is_of_the_payload() {
         learner.end_payload_test(600, PayloadDecision::Release);
         let after = *learner.state.estimate.filter();
         assert_eq!(after == before, kept, "{rows_before} {blocks}");
+        assert_eq!(learner.state.estimate.rows() > 0, kept);
         // Rows are used again when the prior covariance is back.
         learn_ticks(&mut learner, 600..1200, true);
         assert!(*learner.state.estimate.filter() != after);
     }
+}
+
+#[test]
+fn a_rollback_returns_to_the_covariance_of_the_start() {
+    let mut learner = learner();
+    learn_ticks(&mut learner, 0..600, true);
+    learner.execute(600, Request::Snapshot);
+    learn_ticks(&mut learner, 600..1200, true);
+    assert!(learner.state.estimate.rows() > 0);
+    learner.execute(1200, Request::Rollback);
+    assert_eq!(learner.state.estimate.rows(), 0);
+    assert!(learner.state.estimate.parameters() == &learner.state.supervisor.learnt.set);
 }
 
 /// Samples of eight ticks: in some of its turns a joint has none.

@@ -95,7 +95,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
                 // Rows of the window contain the body. Under a payload the checkpoint of before it is kept for the release.
                 if !supervisor.carries_payload {
                     supervisor.checkpoints[1] = supervisor.before_payload;
-                    supervisor.rows_before = supervisor.rows;
+                    supervisor.rows_before = state.estimate.rows();
                 } else {
                     supervisor.fade_evidence_of_before(&self.config);
                 }
@@ -339,9 +339,9 @@ impl<const N: usize, const P: usize> LearnerState<N, P> {
         // A set committed on request contains part of the payload.
         self.commit_due |= before.learnt.set.rigid != supervisor.learnt.set.rigid;
         supervisor.checkpoints[1] = *before;
-        // Most of what the covariance knows is of the rigid body with the payload.
+        // Most rows of the covariance are of the rigid body with the payload.
         let learnt_under_it = supervisor.blocks_carried >= config.supervisor.pause_blocks;
-        if learnt_under_it && supervisor.rows / 2 > supervisor.rows_before {
+        if learnt_under_it && self.estimate.rows() / 2 > supervisor.rows_before {
             self.estimate.reset_covariance();
         }
         self.restore();

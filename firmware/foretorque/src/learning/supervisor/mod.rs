@@ -64,7 +64,7 @@ pub(super) struct Supervisor<const N: usize, const P: usize> {
     pub(super) block_variance: [(f32, u32); N],
     /// Rows used since the load.
     pub(super) rows: u32,
-    /// Those of before the payload in the torque.
+    /// Rows in the covariance before the payload in the torque.
     pub(super) rows_before: u32,
     pub(super) carries_payload: bool,
     /// Checkpoint of before the payload in the torque; without one, of before the window of the payload test.
