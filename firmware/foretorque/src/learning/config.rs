@@ -29,6 +29,9 @@ const VELOCITY_GATE: f32 = 0.05;
 /// a filter length: 3/8 of that speed.
 const GATE_STEPS: f32 = 4.0;
 
+/// Assumed standard deviation of a torque measurement, in units of the torque limit.
+pub const TORQUE_NOISE: f32 = 0.01;
+
 /// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerConfig<const N: usize, const P: usize> {
@@ -114,7 +117,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         let row_s = (N as u32).max(decimation) as f32 * period_s;
         Self {
             inv_period: 1.0 / period_s,
-            noise: 0.01,
+            noise: TORQUE_NOISE,
             outlier_sigmas: 3.0,
             noise_inflation: (1.0 + 2.0 * ROWS_CORRELATED_S / row_s).max(3.0),
             decimation,

@@ -265,7 +265,7 @@ fn read(
         })?;
     }
     let own = tables.into_inner();
-    let tilted = !own.contains_key("gravity_m_s2");
+    let gives_gravity = own.contains_key("gravity_m_s2");
     put(whole.get_mut(), own);
     let mut robot = file::read(path, text, whole)?;
     for (index, (joint, before)) in robot
@@ -287,7 +287,7 @@ fn read(
             return Err(field("coupling", problem));
         }
     }
-    Ok(import.overlaid(robot, &given, tilted))
+    Ok(import.overlaid(robot, &given, gives_gravity))
 }
 
 /// Longest chain of overlays.

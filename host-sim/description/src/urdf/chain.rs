@@ -71,10 +71,14 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         // T(q) = P rot(axis, q) = P A Rz(q) Aᵀ with A z = axis: the joint frame is P A, the link frame Aᵀ in it.
         link_frame = turn.inverse();
         let written = document.links[tree.child[index]].inertial;
-        let mut silent = Assumed::of_written(written.as_ref());
-        let limits = limits(element, &mut silent).map_err(of_joint)?;
-        let link = tree.lumped(index, &link_frame, selection, &mut silent, &mut notes)?;
-        assumed.push(silent);
+        let mut own = Assumed::of_written(written.as_ref());
+        let limits = limits(element, &mut own).map_err(of_joint)?;
+        let link = tree.lumped(index, &link_frame, selection, &mut own, &mut notes)?;
+        own.fields.extend(["gain_nm_a", "encoder_bits"]);
+        if element.rotor == 0.0 {
+            own.fields.insert("rotor_inertia_kg_m2");
+        }
+        assumed.push(own);
         joints.push(Joint {
             name: element.name.clone(),
             placement: joint_frame.then(&turn).snapped(),
@@ -111,7 +115,7 @@ pub(super) fn arm(document: &Document, selection: &Selection<'_>) -> Result<Impo
         assumed,
         tilted,
     };
-    import.settle();
+    import.derive_limits();
     Ok(import)
 }
 
@@ -185,8 +189,8 @@ fn friction(joint: &JointElement) -> Result<Friction, String> {
     })
 }
 
-/// * `silent` takes what the element does not give
-fn limits(joint: &JointElement, silent: &mut Assumed) -> Result<Limits, String> {
+/// * `own` gets the names of values that the file does not give
+fn limits(joint: &JointElement, own: &mut Assumed) -> Result<Limits, String> {
     let limit = &joint.limit;
     for (what, value) in [("velocity", limit.velocity), ("torque", limit.effort)] {
         if let Some(value) = value.filter(|value| *value < 0.0) {
@@ -224,14 +228,11 @@ fn limits(joint: &JointElement, silent: &mut Assumed) -> Result<Limits, String> 
         ("velocity_rad_s", velocity.is_some()),
         ("acceleration_rad_s2", limit.acceleration.is_some()),
         ("torque_nm", torque.is_some()),
-        ("rotor_inertia_kg_m2", joint.rotor != 0.0),
-        ("gain_nm_a", false),
-        ("encoder_bits", false),
     ];
     let missing = given.iter().filter(|(_, given)| !given);
-    silent.fields.extend(missing.map(|(field, _)| *field));
+    own.fields.extend(missing.map(|(field, _)| *field));
     let velocity = velocity.unwrap_or(VELOCITY);
-    silent.velocity = Some(velocity);
+    own.velocity = Some(velocity);
     Ok(Limits {
         position,
         velocity,

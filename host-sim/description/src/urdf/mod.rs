@@ -71,7 +71,7 @@ pub struct Import {
     tilted: bool,
 }
 
-/// Assumptions on a joint, and doubts about its file, until an overlay or an option gives it.
+/// Values of a joint that are assumed, and values of its file to be checked, until an overlay or an option gives them.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Assumed {
     /// Values that no source gives, by their names in a description.
@@ -81,17 +81,17 @@ struct Assumed {
     /// Distance of the link's own centre of mass from the joint, m.
     com: Option<f64>,
     /// Inertia of the link itself, kg·m², where it is the same about all axes.
-    ball: Option<Matrix3<f64>>,
+    isotropic: Option<Matrix3<f64>>,
 }
 
 impl Assumed {
     /// Nothing assumed, for a link as it is written.
     fn of_written(link: Option<&Link>) -> Self {
         let inertia = link.map(|link| link.inertia_com);
-        let is_ball = |i: &Matrix3<f64>| near(i, &Matrix3::from_diagonal_element(i.m11));
+        let is_isotropic = |i: &Matrix3<f64>| near(i, &Matrix3::from_diagonal_element(i.m11));
         Self {
             com: link.map(|link| link.com.norm()),
-            ball: inertia.filter(is_ball),
+            isotropic: inertia.filter(is_isotropic),
             ..Self::default()
         }
     }
@@ -102,12 +102,13 @@ impl Assumed {
         match field {
             "velocity_rad_s" => self.velocity = None,
             "com_m" => self.com = None,
-            "inertia_kg_m2" => self.ball = None,
+            "inertia_kg_m2" => self.isotropic = None,
             _ => {}
         }
     }
 }
 
+/// Two inertias are the same but for rounding.
 fn near(a: &Matrix3<f64>, b: &Matrix3<f64>) -> bool {
     (a - b).amax() <= 1e-9 * a.amax()
 }
@@ -130,27 +131,27 @@ impl Import {
         if let Some(assumed) = self.assumed.get_mut(joint) {
             assumed.give(field);
         }
-        self.settle();
+        self.derive_limits();
     }
 
     /// This import with the values of an overlay.
     ///
     /// * `robot` the arm with all of them
     /// * `given` their names, joint by joint
-    /// * `tilted` gravity is not one of them
+    /// * `gives_gravity` gravity is one of them
     pub(crate) fn overlaid(
         mut self,
         robot: Robot,
         given: &[Option<Vec<String>>],
-        tilted: bool,
+        gives_gravity: bool,
     ) -> Self {
         self.robot = robot;
-        self.tilted &= tilted;
+        self.tilted &= !gives_gravity;
         for (assumed, fields) in self.assumed.iter_mut().zip(given) {
             let fields = fields.iter().flatten();
             fields.for_each(|field| assumed.give(field));
         }
-        self.settle();
+        self.derive_limits();
         self
     }
 
@@ -158,7 +159,7 @@ impl Import {
     ///
     /// A torque limit is one and a half of what the arm weighs at full stretch, of friction at the velocity limit and of the
     /// rotor at the acceleration limit, and 1 N·m. A velocity limit is lowered to one that friction leaves torque for.
-    fn settle(&mut self) {
+    fn derive_limits(&mut self) {
         let joints = &mut self.robot.joints;
         for (index, assumed) in self.assumed.iter().enumerate() {
             let wanted = assumed.velocity.unwrap_or(joints[index].limits.velocity);
@@ -244,15 +245,17 @@ impl Import {
         let ends = joints.iter().skip(1).map(|joint| &joint.placement);
         let ends = ends.chain([&self.robot.flange]);
         let mut apart = Vec::new();
-        let balls = || self.assumed.iter().filter_map(|assumed| assumed.ball);
+        let isotropic = || self.assumed.iter().filter_map(|assumed| assumed.isotropic);
         let mut shared = Vec::new();
         for ((joint, end), assumed) in joints.iter().zip(ends).zip(&self.assumed) {
             let link = &joint.link;
             let name = joint.link_name.as_ref().unwrap_or(&joint.name);
-            if assumed.fields.contains("mass_kg") {
-                let mass = link.mass;
+            let rod = ["mass_kg", "com_m", "inertia_kg_m2"].into_iter();
+            let rod: Vec<&str> = rod.filter(|field| assumed.fields.contains(field)).collect();
+            if !rod.is_empty() {
+                let (rod, mass) = (rod.join(", "), link.mass);
                 notes.push(format!(
-                    "link '{name}': no inertial data, a rod of {mass} kg is taken"
+                    "link '{name}': no inertial data, {rod} of a rod of {mass} kg are taken"
                 ));
             }
             let length = link.com.norm() + (end.origin - link.com).norm() + THICKNESS;
@@ -269,8 +272,8 @@ impl Import {
                     "of link '{name}' lies {com:.2} m from its joint, the link is about {length:.2} m long"
                 ));
             }
-            let others = |ball: Matrix3<f64>| balls().filter(|other| near(&ball, other)).count();
-            if assumed.ball.is_some_and(|ball| others(ball) > 1) {
+            let others = |own: Matrix3<f64>| isotropic().filter(|other| near(&own, other)).count();
+            if assumed.isotropic.is_some_and(|own| others(own) > 1) {
                 shared.push(name.as_str());
             }
         }

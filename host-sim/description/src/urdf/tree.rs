@@ -290,13 +290,13 @@ impl<'a> Tree<'a> {
 
     /// One link for everything that joint `joint` moves as one body.
     ///
-    /// * `silent` takes a mass that the file does not give
+    /// * `own` gets the names of values that the file does not give
     pub(super) fn lumped(
         &self,
         joint: usize,
         frame: &Placement,
         selection: &Selection<'_>,
-        silent: &mut Assumed,
+        own: &mut Assumed,
         notes: &mut Vec<String>,
     ) -> Result<Link, String> {
         let moved = self.child[joint];
@@ -343,7 +343,7 @@ impl<'a> Tree<'a> {
             let end = next.map_or(Vector3::new(0.0, 0.0, 0.1), |&joint| {
                 self.document.joints[joint].origin.origin
             });
-            silent.fields.insert("mass_kg");
+            own.fields.extend(["mass_kg", "com_m", "inertia_kg_m2"]);
             parts.push(Link::rod(mass, &end).placed(frame));
         }
         let body = Link::lumped(&parts).ok_or_else(|| {

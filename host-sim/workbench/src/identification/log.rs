@@ -1,6 +1,6 @@
 //! Logs: the project's own columns, or foreign ones through the map of the robot description.
 
-use super::log_search::{asked, has, is_there, joint_places, likeness};
+use super::log_search::{has, is_there, joint_places, likeness, required_column};
 use super::log_search::{names_in_log, no_columns, no_times, rank};
 use crate::dynamics::PerJoint;
 use crate::robot::{ColumnNames, Coupling, EffortKind, LogColumns, Robot};
@@ -176,10 +176,9 @@ impl LogReader {
         let mut notes = rows.notes.clone();
         let names = given.names.clone();
         // What a file names must be there.
-        let file = given.clone();
-        let required = file
-            .quantities()
-            .map(|names| file.required && names.is_some());
+        let by_file = given.required;
+        let time_required = by_file && given.t_s.is_some();
+        let required = given.quantities().map(|names| by_file && names.is_some());
         let [.., tau_required, i_required] = required;
         if tau_required && i_required {
             let problem = "tau_nm and i_a in one map of columns: keep one of them";
@@ -199,8 +198,8 @@ impl LogReader {
                 let problem = format!("rate_hz is {hz}, no number of rows a second");
                 return Err(TableError::at(path, None, problem));
             }
-            (None, Some(name), _) if file.required && file.t_s.is_some() => {
-                Time::Column(asked(&rows, name)?, map_units[0])
+            (None, Some(name), _) if time_required => {
+                Time::Column(required_column(&rows, name)?, map_units[0])
             }
             (None, Some(name), _) if has(&rows, name) => {
                 Time::Column(rows.require(name)?, map_units[0])
@@ -224,7 +223,7 @@ impl LogReader {
                 places.map(|place| (place, units[kind + 1]))
             }))
         };
-        let q = quantity(0, ("q", "rad"))?.ok_or_else(|| match file.required {
+        let q = quantity(0, ("q", "rad"))?.ok_or_else(|| match by_file {
             true => rows.missing("q1_rad"),
             false => no_columns(&rows, robot),
         })?;

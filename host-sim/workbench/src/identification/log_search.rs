@@ -148,12 +148,15 @@ pub(super) fn names_in_log(
         exact.or(sets.first()).cloned()
     });
     let quantities = map.quantities();
-    let [q, .., tau, i] = quantities;
-    for (sets, columns) in sets.iter().zip([q, tau.or(i)]) {
+    for (sets, columns) in sets.iter().zip([&quantities[..1], &quantities[3..]]) {
         if sets.len() < 2 || sets.iter().any(|names| is_ours(names, robot)) {
             continue;
         }
-        let first = |names: &Names| columns?.of(0, names.first()?);
+        let first = |names: &Names| {
+            let own = columns.iter().flatten();
+            let mut own = own.filter_map(|columns| columns.of(0, names.first()?));
+            own.find(|name| has(rows, name))
+        };
         let mut all: Vec<String> = sets.iter().filter_map(first).collect();
         if all.len() > SHOWN_ARMS {
             all.splice(SHOWN_ARMS.., ["…".to_owned()]);
@@ -174,9 +177,9 @@ pub(super) fn names_in_log(
         let units = units.map(|units| format!("units = \"{}\"", String::from(units.clone())));
         let lines: Vec<String> = time.chain(lines).chain(units).collect();
         return Err(rows.header_error(format!(
-            "several arms or topics have the joints: {}: write {}, or those of another, one a line, into a file for --columns-from",
+            "several arms or topics have the joints: {}\n  write these lines, or those of another, into a file, and add --columns-from FILE:\n{}",
             all.join(", "),
-            lines.join(", ")
+            lines.join("\n")
         )));
     }
     Ok(chosen)
@@ -190,13 +193,8 @@ fn written(columns: &ColumnNames, names: &[String], robot: &Robot) -> String {
     let pattern = || {
         let (before, after) = columns.around_name()?;
         let (head, tail) = names.first()?.split_once(&robot.joints[0].name)?;
-        let mut ours = robot.joints.iter().map(|own| &own.name);
-        let is_so = names.iter().all(|name| {
-            let own = name
-                .strip_prefix(head)
-                .and_then(|name| name.strip_suffix(tail));
-            own == ours.next().map(String::as_str)
-        });
+        let mut pairs = names.iter().zip(&robot.joints);
+        let is_so = pairs.all(|(name, own)| *name == format!("{head}{}{tail}", own.name));
         is_so.then(|| format!("\"{before}{head}{{name}}{tail}{after}\""))
     };
     let column = |(joint, name): (usize, &String)| columns.of(joint, name);
@@ -207,7 +205,7 @@ fn written(columns: &ColumnNames, names: &[String], robot: &Robot) -> String {
 }
 
 /// Place of a column that the file of `--columns-from` names.
-pub(super) fn asked(rows: &Rows, name: &str) -> Result<usize, TableError> {
+pub(super) fn required_column(rows: &Rows, name: &str) -> Result<usize, TableError> {
     rows.find(name)?.ok_or_else(|| {
         let way = "mend its name in the file of --columns-from";
         rows.header_error(format!("column {name} is missing: {way}"))
@@ -256,14 +254,12 @@ pub(super) fn joint_places(
             let Some(required) = required else {
                 return Ok(None);
             };
-            let problem = match required.unknown_mark() {
-                Some(mark) => format!("{mark} is none of {{}}, {{0}}, {{1}} and {{name}}"),
-                None => format!("{name} has one column for all joints: write {{}}"),
+            let problem = match (required.unknown_mark(), foreign(0)) {
+                (Some(mark), _) => format!("{mark} is none of {{}}, {{0}}, {{1}} and {{name}}"),
+                (None, Some(first)) => return required_column(rows, &first).map(|_| None),
+                (None, None) => format!("{name} has one column for all joints: write {{}}"),
             };
-            let first = foreign(0).filter(|_| required.unknown_mark().is_none());
-            let first =
-                first.ok_or_else(|| rows.header_error(format!("{name}_{unit}: {problem}")))?;
-            return asked(rows, &first).map(|_| None);
+            return Err(rows.header_error(format!("{name}_{unit}: {problem}")));
         }
     };
     let last = numbered(joints);
@@ -287,7 +283,7 @@ pub(super) fn joint_places(
             return Err(rows.header_error(problem));
         };
         *column = match required {
-            Some(_) => asked(rows, &name)?,
+            Some(_) => required_column(rows, &name)?,
             None => rows.require(&name)?,
         };
     }

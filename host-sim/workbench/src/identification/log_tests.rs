@@ -421,19 +421,19 @@ fn positions_and_torques_are_of_one_topic_and_one_arm() {
             left,
             &right,
             "left_shoulder_pan.pos, right_shoulder_pan.pos",
-            ", units = \"q=deg\"",
+            "\nunits = \"q=deg\"",
         ),
     ] {
         let text = beside(&one, other);
         let refused = read_text("two.csv", &text, &ur5()).expect_err(all);
-        let start = format!("two.csv:1: several arms or topics have the joints: {all}: write ");
+        let start = format!("two.csv:1: several arms or topics have the joints: {all}\n");
         let rest = refused.strip_prefix(&start).expect(&refused);
-        let (lines, _) = rest.split_once(", or those").expect("lines of a file");
+        let (_, lines) = rest.split_once("FILE:\n").expect("lines of a file");
         assert!(
-            lines.contains(", qd_rad_s = ") && lines.ends_with(units),
+            lines.contains("\nqd_rad_s = ") && lines.ends_with(units),
             "{lines}"
         );
-        let map: LogColumns = toml::from_str(&lines.replace(", ", "\n")).expect("a map");
+        let map: LogColumns = toml::from_str(lines).expect("a map");
         let map = LogColumns {
             required: true,
             all_units: map.units.clone(),

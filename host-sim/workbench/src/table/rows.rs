@@ -171,7 +171,8 @@ impl Rows {
             is_number && !field.bytes().all(|byte| byte.is_ascii_digit())
         };
         let values = fields.iter().filter(is_value).count();
-        let numbers = are_numbers(&separator) || (values > 0 && 3 * values >= fields.len());
+        let all_numbers = are_numbers(&separator);
+        let numbers = all_numbers || (values > 0 && 3 * values >= fields.len());
         // The comment that names as many columns as there are numbers is the header.
         let named = |line: &String| split_by(line.trim_start_matches('#'), separator);
         let mut lines = comments.iter().map(named).enumerate();
@@ -182,7 +183,7 @@ impl Rows {
         };
         let has_header = commented.is_some() || !numbers;
         if !has_header && names.is_empty() {
-            let found = match are_numbers(&separator) {
+            let found = match all_numbers {
                 true => format!("{} numbers", fields.len()),
                 false => {
                     let line = first.trim_end_matches(char::from(separator));

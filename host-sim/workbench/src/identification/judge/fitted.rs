@@ -11,6 +11,7 @@ use crate::identification::record::Report;
 use crate::metrics::even_sample;
 use crate::robot::{Link, Robot};
 use foretorque::dynamics::FrictionColumn;
+use foretorque::learning::TORQUE_NOISE;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
 
 /// Parameters of the description: base set, then viscous and Coulomb friction, all else zero.
@@ -42,10 +43,7 @@ pub(in crate::identification) fn after_fit(
         judgement.find(false, text);
     }
     let free = free.as_ref().map_or(fit, |(free, _)| free);
-    // A spring in one joint makes a common scale certain, which explains little.
-    let is_found =
-        |flange: &Flange| flange.is_certain() && (!flange.is_scale() || flange.is_most());
-    if let Some(flange) = payload(robot, layout, free).filter(is_found) {
+    if let Some(flange) = payload(robot, layout, free).filter(Flange::is_certain) {
         judgement.find(true, flange.finding());
     }
     let deviation = |variance: f64| ANALYTIC * variance.max(0.0).sqrt();
@@ -115,7 +113,7 @@ pub fn unexplained(report: &Report) -> Option<Finding> {
 /// Two means m_1, m_2 of n_1 and n_2 rows explain the share `(n_1 m_1² + n_2 m_2²) / Σ e²` of the errors e. What a model
 /// lacks scatters over the motion and has means near zero: on the logs of `tests/data` the share stays below 0.1. A line over
 /// the torque, which is the gain of a drive and the zero of its sensor, must explain less: both stay the same all along.
-/// A change below the error of a torque measurement that the learner assumes is none, however small the others.
+/// A change below [`TORQUE_NOISE`] is none, however small the other errors.
 pub(in crate::identification) fn change(
     robot: &Robot,
     layout: &Layout,
@@ -123,7 +121,6 @@ pub(in crate::identification) fn change(
     model: &Candidate,
 ) -> Option<(usize, String)> {
     const SHARE: f64 = 0.35;
-    const LEAST_OF_LIMIT: f64 = 0.01;
     let predicted: Vec<_> = rows.iter().map(|row| model.torque(layout, row)).collect();
     let of_joint = |joint: usize| {
         let pairs = rows.iter().zip(&predicted).enumerate();
@@ -152,7 +149,7 @@ pub(in crate::identification) fn change(
             (share, joint + 1, *place, second - first)
         });
         let inside = splits.skip(count / 20).take(count - count / 10);
-        let least = LEAST_OF_LIMIT * robot.joints[joint].limits.torque;
+        let least = f64::from(TORQUE_NOISE) * robot.joints[joint].limits.torque;
         inside
             .filter(|(share, _, _, step)| *share > line.max(SHARE) && step.abs() > least)
             .max_by(|a, b| a.0.total_cmp(&b.0))
@@ -265,11 +262,12 @@ pub(super) struct Flange {
 impl Flange {
     const LEAST_KG: f64 = 0.3;
 
-    /// The description's own uncertainty does not explain it.
+    /// The description's own uncertainty does not explain it. A spring in one joint makes a common scale certain that explains
+    /// little: a scale has to explain most, too.
     fn is_certain(&self) -> bool {
         let [scale, deviation, _] = self.scale;
         match self.is_scale() {
-            true => (scale - 1.0).abs() > DEVIATIONS * deviation,
+            true => (scale - 1.0).abs() > DEVIATIONS * deviation && self.is_most(),
             false => self.mass > Self::LEAST_KG && self.mass > DEVIATIONS * self.deviation,
         }
     }

@@ -73,11 +73,11 @@ pub(super) fn units(
     }
     stuck(judgement, extremes);
     placeholders(judgement, robot.joints.iter().zip(extremes));
+    let few = |seen: &Extremes| seen.strong <= FEW * seen.rows;
     let strong: Vec<_> = joints()
         .filter(|(_, (joint, seen))| {
             let beyond = BEYOND * joint.limits.torque;
-            let few = seen.strong <= FEW * seen.rows;
-            seen.rms() > beyond || seen.torque > beyond && few
+            seen.rms() > beyond || seen.torque > beyond && few(seen)
         })
         .collect();
     if let Some((number, (joint, seen))) = strong.first() {
@@ -88,7 +88,7 @@ pub(super) fn units(
             _ if weight > joint.limits.torque => &format!(
                 "below the {weight:.0} N·m of the arm's own weight: correct it (--torque-limits)"
             ),
-            _ if seen.strong <= FEW * seen.rows => WITHOUT_ROWS,
+            _ if few(seen) => WITHOUT_ROWS,
             true if currents => "are these mA (--units i=mA)?",
             true if strong.len() * 3 > extremes.len() => {
                 "is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?"
@@ -206,12 +206,7 @@ fn rates(extremes: &[Extremes]) -> Option<String> {
             rates.retain(|(_, rate)| rate.agreement() > clear);
             contradicts.or_else(|| other_scale(names, &rates))
         });
-    let has_velocity = extremes.iter().any(Extremes::has_velocity);
-    found.or_else(|| {
-        (mapped && has_velocity)
-            .then(|| foreign(extremes))
-            .flatten()
-    })
+    found.or_else(|| foreign(extremes).filter(|_| mapped))
 }
 
 /// Finding on velocities that are not those of their joint.

@@ -111,15 +111,17 @@ fn readings(states: &[Motion], extremes: &[Extremes], weights: &[f64]) -> Vec<Re
             read(have, &format!("with {more}"), moved, straight);
         }
     }
-    let rates = [
-        (2.0, "halved"),
-        (0.5, "doubled"),
-        (1.25, "multiplied by 0.8"),
-        (0.8, "multiplied by 1.25"),
-    ];
     // Logged velocities would contradict the positions.
-    let is_open = !extremes.iter().any(Extremes::has_velocity);
-    for (rate, otherwise) in rates.into_iter().filter(|_| is_open) {
+    let rates: &[_] = match extremes.iter().any(Extremes::has_velocity) {
+        true => &[],
+        false => &[
+            (2.0, "halved"),
+            (0.5, "doubled"),
+            (1.25, "multiplied by 0.8"),
+            (0.8, "multiplied by 1.25"),
+        ],
+    };
+    for &(rate, otherwise) in rates {
         let text = format!(
             "times: {otherwise} they follow the description and any other parameters of this arm, as they are they do not"
         );

@@ -17,7 +17,7 @@ pub(super) const CUT_SHARE: (f64, f64) = (0.01, 0.05);
 const STUCK_S: f64 = 0.5;
 /// Time over which an arm is looked at to see whether it moves, s.
 const SPAN_S: f64 = 0.05;
-/// Least time of a way that positions and logged velocities are compared on, s.
+/// Least time over which the change of a position is compared with the integral of its logged velocity, s.
 const WAY_S: f64 = 0.2;
 
 /// Sums of a joint: range, speed, torque, scatter between rows, rows, spikes.
@@ -41,9 +41,9 @@ pub(super) struct Extremes {
     pub(super) unchanged: [Unchanged; 2],
     /// Position by the logged velocity, rad.
     by_velocity: f64,
-    /// Time, position and position by the logged velocity from which a way is counted, and the ways by both: steps of an
-    /// encoder are small beside them.
+    /// Time, position and integral of the logged velocity at the start of the current comparison.
     way_from: Option<[f64; 3]>,
+    /// Change of the position and integral of the logged velocity, over [`WAY_S`]: encoder steps are small beside it.
     pub(super) ways: Rate,
     held: Held,
     /// Squares of the torque and of its second difference, and rows, while the arm moves: brakes may hold it at rest.
@@ -88,9 +88,10 @@ impl Rate {
         self.change > 0.0 && self.logged <= 1e-6 * self.change
     }
 
-    /// Share of the power that the two have in common: the rest is noise of either, alike or not.
+    /// Share of the power that the two have in common: the rest is noise of either, alike or not. NaN where one of them is
+    /// zero, or without any value.
     pub(super) fn agreement(&self) -> f64 {
-        self.product.powi(2) / (self.change * self.logged).max(f64::MIN_POSITIVE)
+        self.product.powi(2) / (self.change * self.logged)
     }
 
     pub(super) fn is_turned(&self) -> bool {
