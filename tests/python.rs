@@ -3,7 +3,7 @@
 use std::io::Write as _;
 use std::process::{Command, Stdio};
 
-/// Says on the terminal that a test does not run here: `cargo xtask test` counts these lines.
+/// Print on the terminal why a test does not run here: `cargo xtask test` counts these lines.
 pub(crate) fn skipped(reason: &str) {
     // `println!` shows nothing of a test that passes.
     let _ = writeln!(std::io::stdout(), "skipped: {reason}");

@@ -77,7 +77,7 @@ fn starts(elf: &Path) -> Result<()> {
         .stderr(Stdio::piped());
     let mut emulator = emulator.spawn().context("cannot start `timeout`")?;
     let log = emulator.stderr.take().context("the emulator has no log")?;
-    let (mut samples, mut said) = (0, "nothing".to_owned());
+    let (mut samples, mut last_message) = (0, "nothing".to_owned());
     for line in BufReader::new(log).lines() {
         let line = line?;
         // The dispatcher of the learning task is interrupt 7, exception 23.
@@ -86,7 +86,7 @@ fn starts(elf: &Path) -> Result<()> {
             break;
         }
         if line.contains("qemu") {
-            said = line;
+            last_message = line;
         }
     }
     // Fails where the emulator has ended.
@@ -95,7 +95,7 @@ fn starts(elf: &Path) -> Result<()> {
     let elf = elf.display();
     ensure!(
         samples == SAMPLES,
-        "{elf} learnt from {samples} samples, then: {said}"
+        "{elf} learnt from {samples} samples, then: {last_message}"
     );
     println!("the RTIC application runs: {samples} samples learnt");
     Ok(())

@@ -37,7 +37,7 @@ pub struct Outcome<R> {
     pub page: Page,
     /// The main figures as lines of text; no line depends on the machine.
     pub text: String,
-    /// A promise that the study has seen broken: its command fails.
+    /// Reason why the command of the study fails, a broken promise; `None` where all are kept.
     pub broken: Option<String>,
 }
 

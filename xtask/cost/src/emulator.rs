@@ -34,16 +34,16 @@ pub(crate) fn count(elf: &Path, calls: u32) -> Result<(Vec<Counts>, [Spread; 2])
     let output = output.context(NOT_STARTED)?;
     succeeded(output.status)?;
     let text = String::from_utf8(output.stdout)?;
-    let (mut rows, mut long_run) = (text.trim_end(), Vec::new());
-    for _ in 0..2 {
-        let (before, last) = rows
-            .rsplit_once('\n')
-            .context("the bench program printed nothing")?;
-        long_run.push(Spread::read(last, TICKS)?);
-        rows = before;
-    }
-    let spreads = long_run.try_into().ok().context("no long run")?;
-    Ok((read_counts(rows)?, spreads))
+    let (text, learning) = last_spread(&text)?;
+    let (rows, tick) = last_spread(text)?;
+    Ok((read_counts(rows)?, [tick, learning]))
+}
+
+/// The lines before the last one of the long run, and that one.
+fn last_spread(text: &str) -> Result<(&str, Spread)> {
+    let lines = text.trim_end().rsplit_once('\n');
+    let (before, line) = lines.context("the bench program printed nothing")?;
+    Ok((before, Spread::read(line, TICKS)?))
 }
 
 /// Traces `calls` calls of each of `rows`.

@@ -182,7 +182,7 @@ impl Arm {
     }
 }
 
-/// How the long run is counted.
+/// Method of the long run, as the page has it.
 const LONG_RUN: &str = "emulator, 100000 different ticks with the learner at work";
 /// Means of estimated cycles.
 const TRACED: &str = "estimate over the traced instructions";
@@ -253,11 +253,11 @@ fn quantities(
             LONG_RUN.into(),
         )
     };
-    let dearest_step = format!(
-        "instructions of the dearest {}",
-        learning.row.replace('_', " ")
+    let dearest_step = measured(
+        "dearest learning step".into(),
+        learning.most.into(),
+        format!("instructions, {LONG_RUN}"),
     );
-    let dearest_step = measured(dearest_step, learning.most.into(), LONG_RUN.into());
     let all = rows.chain(dearest).chain(images).chain(arms);
     all.chain([long_run, dearest_step]).collect()
 }

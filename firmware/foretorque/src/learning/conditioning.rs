@@ -15,15 +15,35 @@ pub(super) const fn taps(delay: u32) -> u32 {
     2 * delay + 1
 }
 
-/// Factors of the quadratic fit from the sums over its window k = −d … d: Σk², 1/Σ1, Σk²/Σ1, 1/Σk², 1/(Σk⁴ − (Σk²)²/Σ1).
-fn fit_factors(delay: u32) -> [f32; 5] {
-    let d = delay;
-    let square = d * (d + 1) * taps(d) / 3;
-    let fourth = square * (3 * d * d + 3 * d - 1) / 5;
-    let [sum_0, sum_2, sum_4] = [taps(d), square, fourth].map(|sum| sum as f32);
-    let mean = sum_2 / sum_0;
-    let curvature = sum_4 - sum_2 * sum_2 / sum_0;
-    [sum_2, 1.0 / sum_0, mean, 1.0 / sum_2, 1.0 / curvature]
+/// Factors of the quadratic fit, from the sums over its window k = −d … d.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct FitFactors {
+    /// Σk²
+    sum_2: f32,
+    /// 1/Σ1
+    inv_sum_0: f32,
+    /// Σk²/Σ1
+    mean_square: f32,
+    /// 1/Σk²
+    inv_sum_2: f32,
+    /// 1/(Σk⁴ − (Σk²)²/Σ1)
+    inv_curvature: f32,
+}
+
+impl FitFactors {
+    /// Sums of whole numbers below 2²⁴, which f32 has exactly.
+    fn new(delay: u32) -> Self {
+        let (d, sum_0) = (delay as f32, taps(delay) as f32);
+        let sum_2 = d * (d + 1.0) * sum_0 / 3.0;
+        let sum_4 = sum_2 * (3.0 * d * d + 3.0 * d - 1.0) / 5.0;
+        Self {
+            sum_2,
+            inv_sum_0: 1.0 / sum_0,
+            mean_square: sum_2 / sum_0,
+            inv_sum_2: 1.0 / sum_2,
+            inv_curvature: 1.0 / (sum_4 - sum_2 * sum_2 / sum_0),
+        }
+    }
 }
 
 /// Square of the first zero of j₂: beyond it, the filter removes cogging from the acceleration.
@@ -140,11 +160,9 @@ impl<const N: usize> MeasurementWindow<N> {
         self.filled >= taps(self.delay) as usize
     }
 
-    /// True if every joint can be at `q`: it has moved by at most its step for each tick since the last measurement. Else an
-    /// encoder errs.
+    /// True if every joint can be at `q`: its change is at most its step for each tick since the last measurement.
     ///
-    /// * `steps` largest plausible change of each joint in a tick, rad; the learner gives that of a whole sample at twice the
-    ///   velocity limit
+    /// * `steps` largest plausible change of each joint in a tick, rad
     pub(super) fn reaches(&self, q: &JointVector<N>, steps: impl Iterator<Item = f32>) -> bool {
         let ticks = (self.gap + 1) as f32;
         let changes = q.iter().zip(&self.last.q).map(|(q, last)| (q - last).abs());
@@ -275,7 +293,8 @@ impl<const N: usize> MeasurementWindow<N> {
             return None;
         }
         let inv_period = inv_period / self.decimation as f32;
-        let (delay, factors) = (self.delay as usize, fit_factors(self.delay));
+        // Five divisions a row: kept in the window, they cost flash and no fewer instructions.
+        let (delay, factors) = (self.delay as usize, FitFactors::new(self.delay));
         // After a push `next` is the slot of the oldest of all samples, and those of the window are the newest.
         let begin = (self.next + TAPS).checked_sub(2 * delay + 1)?;
         let mut motion = JointMotion::<N>::zero();
@@ -320,7 +339,7 @@ pub fn cogging_attenuation(angle: f32, taps: u32) -> f32 {
 ///
 /// * `factors` of this delay
 #[inline]
-fn fit(samples: &[f32], delay: usize, factors: &[f32; 5]) -> Option<(f32, f32, f32)> {
+fn fit(samples: &[f32], delay: usize, factors: &FitFactors) -> Option<(f32, f32, f32)> {
     let (mut left, rest) = samples.split_at_checked(delay)?;
     let (&centre, right) = rest.split_first()?;
     let (mut distance, mut sum) = (0.0, 0.0);
@@ -337,10 +356,13 @@ fn fit(samples: &[f32], delay: usize, factors: &[f32; 5]) -> Option<(f32, f32, f
         first_moment += distance * (after - before);
         second_moment += distance * distance * even;
     }
-    let [sum_2, inv_sum_0, mean, inv_sum_2, inv_curvature] = *factors;
-    let half_curvature = (second_moment - mean * sum) * inv_curvature;
-    let position = centre + (sum - sum_2 * half_curvature) * inv_sum_0;
-    Some((position, first_moment * inv_sum_2, 2.0 * half_curvature))
+    let half_curvature = (second_moment - factors.mean_square * sum) * factors.inv_curvature;
+    let position = centre + (sum - factors.sum_2 * half_curvature) * factors.inv_sum_0;
+    Some((
+        position,
+        first_moment * factors.inv_sum_2,
+        2.0 * half_curvature,
+    ))
 }
 
 fn is_finite<const N: usize>(measured: &JointMeasurement<N>) -> bool {

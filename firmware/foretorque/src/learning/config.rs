@@ -6,17 +6,19 @@ use super::trainer::TrainerConfig;
 use super::{ConfigError, check_positive};
 use crate::arm::{Arm, ArmModel, table};
 use crate::dynamics::{FRICTION_COLUMNS, friction_prior};
+use core::ops::RangeInclusive;
 
 /// Time in motion in which friction as large as its prior standard deviation changes by that with temperature, grease and
 /// wear, s: 17 hours.
 const FRICTION_CHANGE_S: f32 = 6e4;
 
-/// Ticks per second of a learner, 1/s.
-const RATES: core::ops::RangeInclusive<f32> = 10.0..=1e5;
-/// Length of a sample of the motion filter, s, and the largest, for coarse encoders: longer filters flatten the motion of the
-/// arm.
+/// Accepted periods of the tick, s. Milliseconds in place of seconds are outside.
+pub(super) const PERIODS_S: RangeInclusive<f32> = 1e-5..=0.1;
+/// Length of a sample of the motion filter, s.
 const SAMPLE_S: f32 = 2e-3;
-const LONGEST_SAMPLE_S: f32 = 8e-3;
+/// Largest length of a sample of the motion filter, s, for coarse encoders and noisy positions: longer filters flatten the motion
+/// of the arm.
+pub const LONGEST_SAMPLE_S: f32 = 8e-3;
 /// Time over which disturbances of rows are correlated: rows of 6 joints at 1 kHz have at least three times the noise of
 /// independent ones on real arms.
 const ROWS_CORRELATED_S: f32 = 6e-3;
@@ -35,7 +37,7 @@ pub const TORQUE_NOISE: f32 = 0.01;
 /// Configuration of the learner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LearnerConfig<const N: usize, const P: usize> {
-    /// Ticks per second, 1/s.
+    /// Ticks per second, 1/s: 10 to 1e5.
     pub inv_period: f32,
     /// Assumed standard deviation of a torque measurement, in units of the torque limit.
     pub noise: f32,
@@ -113,13 +115,11 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
         let supervisor = SupervisorConfig::for_arm::<A, N, P>(1.0 / period_s);
         let (decimation, delay) = motion_filter(period_s, A::encoder_step());
         let filter_s = taps(delay).saturating_mul(decimation) as f32 * period_s;
-        // Rows of a joint, not sooner than its samples.
-        let row_s = (N as u32).max(decimation) as f32 * period_s;
         Self {
             inv_period: 1.0 / period_s,
             noise: TORQUE_NOISE,
             outlier_sigmas: 3.0,
-            noise_inflation: (1.0 + 2.0 * ROWS_CORRELATED_S / row_s).max(3.0),
+            noise_inflation: noise_inflation::<N>(decimation, period_s),
             decimation,
             delay,
             correlation_s: 0.5,
@@ -140,6 +140,12 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             },
             supervisor,
         }
+    }
+
+    /// Lengthen the samples of the motion filter to `decimation` ticks, with the noise of their rows.
+    pub fn lengthen_samples(&mut self, decimation: u32) {
+        self.decimation = decimation;
+        self.noise_inflation = noise_inflation::<N>(decimation, 1.0 / self.inv_period);
     }
 
     /// Length of the motion filter, ticks.
@@ -175,8 +181,7 @@ impl<const N: usize, const P: usize> LearnerConfig<N, P> {
             ("clip_sigmas", self.network.clip_sigmas),
             ("memory_rows", self.network.memory_rows),
         ])?;
-        // Milliseconds in the place of seconds, for one.
-        if !RATES.contains(&self.inv_period) {
+        if !PERIODS_S.contains(&(1.0 / self.inv_period)) {
             return Err(ConfigError::TooLarge("inv_period"));
         }
         if !(LEAST_DELAY..=MOST_DELAY).contains(&self.delay) {
@@ -211,6 +216,12 @@ fn motion_filter(period_s: f32, encoder_step: f32) -> (u32, u32) {
         0 | 1 => (1, delay.clamp(LEAST_DELAY, MOST_DELAY)),
         _ => (whole, MOST_DELAY),
     }
+}
+
+/// Factor on the noise of rows of samples of `decimation` ticks: a joint has a row in N ticks, and not sooner than its samples.
+fn noise_inflation<const N: usize>(decimation: u32, period_s: f32) -> f32 {
+    let row_s = (N as u32).max(decimation) as f32 * period_s;
+    (1.0 + 2.0 * ROWS_CORRELATED_S / row_s).max(3.0)
 }
 
 /// Least speed, rad/s, for an encoder of the step `encoder_step`, rad, and a motion filter of `filter_s`.

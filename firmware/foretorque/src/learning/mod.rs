@@ -29,7 +29,7 @@ pub use change_detection::DetectorConfig;
 pub use conditioning::{
     ConditionedSample, DELAY, MAX_BRIDGED, MeasurementWindow, TAPS, cogging_attenuation,
 };
-pub use config::{LearnerConfig, TORQUE_NOISE};
+pub use config::{LONGEST_SAMPLE_S, LearnerConfig, TORQUE_NOISE};
 pub use decision::{DECISION_CAPACITY, Decision, DecisionLog, Reason};
 pub use estimator::{Estimator, torque_row};
 pub use exchange::{

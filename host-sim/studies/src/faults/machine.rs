@@ -115,18 +115,10 @@ pub(super) fn crashes(crash: Crash, times: u32, trace: PathBuf) -> Result<Campai
     Ok(campaign)
 }
 
-/// A board that its watchdog has restarted: it must report that, refuse to be armed until this was taken note of, and then work.
+/// A board that its watchdog has restarted: no torque before it is armed anew; it reports the restart, refuses to be armed until
+/// that is cleared, and then works.
 pub(super) fn restart_by_watchdog() -> Result<Campaign, StudyError> {
     let mut campaign = Campaign::new("restart by the watchdog", "native");
-    let (quiet, back) = restarted()?;
-    campaign.injected = 1;
-    campaign.wrong_torques = u64::from(!quiet);
-    campaign.recovered = u64::from(back);
-    Ok(campaign)
-}
-
-/// A board restarted by its watchdog: no torque before it is armed anew, and it can be.
-fn restarted() -> Result<(bool, bool), StudyError> {
     let description = BoardDescription {
         reset_reason: ResetReason::Watchdog,
         ..BoardDescription::plain(NoClock)
@@ -148,5 +140,8 @@ fn restarted() -> Result<(bool, bool), StudyError> {
     let reported = safety.state == SafetyState::Fault && safety.reason == SafetyReason::Restarted;
     let armed = board.clear_fault().is_ok() && board.arm(&still).is_ok();
     let enabled = board.sample(&still)?.safety.state == SafetyState::Armed;
-    Ok((quiet, refused && reported && armed && enabled))
+    campaign.injected = 1;
+    campaign.wrong_torques = u64::from(!quiet);
+    campaign.recovered = u64::from(refused && reported && armed && enabled);
+    Ok(campaign)
 }

@@ -160,7 +160,7 @@ pub fn text(seed: u64, campaigns: &[Campaign]) -> String {
     format!(
         "cargo xtask faults, seed {seed}\n\n\
          {number} campaigns, {injected} faults, {} torques compared bit by bit and {} under promises: {} wrong, {} sets lost, \
-         {not_recovered} not recovered, {} of {must_show} that must show unseen, {} torques without permission, {} re-arms \
+         {not_recovered} not recovered, {} unseen of {must_show} faults that must show, {} torques without permission, {} re-arms \
          unasked, {} of {} time-outs more than a period off.\n\n{}",
         sum(|own| own.torques),
         sum(|own| own.promised),

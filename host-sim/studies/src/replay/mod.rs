@@ -13,7 +13,7 @@ use foretorque::arm::ur5::{self, PARAMETERS, Ur5};
 use foretorque::feedforward::{FeedForward, FeedForwardConfig, FeedForwardState, ParameterSet};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
 use foretorque::learning::{
-    Exchange, Learner, LearnerConfig, StartDeviations, SupervisorConfig, TAPS,
+    Exchange, LONGEST_SAMPLE_S, Learner, LearnerConfig, StartDeviations, SupervisorConfig, TAPS,
 };
 use foretorque::limits::Flags;
 use foretorque_workbench::closed_loop::motion_f32;
@@ -80,9 +80,11 @@ impl<const N: usize, const P: usize> Start<N, P> {
     ) -> Result<(), StudyError> {
         let of_board = self.config.decimation;
         let sample_s = TAPS as f64 * self.tick_s();
+        let longest = (f64::from(LONGEST_SAMPLE_S) / self.tick_s()).round() as u32;
         for file in paths.iter().flat_map(|path| &path.files) {
-            let needed = motion_filter(file, robot, sample_s, of_board..=of_board.max(N as u32))?;
-            self.config.decimation = self.config.decimation.max(needed);
+            let needed = motion_filter(file, robot, sample_s, of_board..=of_board.max(longest))?;
+            let ticks = self.config.decimation.max(needed);
+            self.config.lengthen_samples(ticks);
         }
         if self.config.decimation > of_board {
             let lengths = [self.config.decimation, of_board];

@@ -197,7 +197,7 @@ impl Network for WiredNetwork {
 /// Start the loop around the drives in a thread of its own: files and pages are written by another.
 ///
 /// * `wired` the drives are real: the thread gets a priority of real time (`SCHED_FIFO`), and the memory of the program stays
-///   in RAM until its end. `work` is told the reason where the system does not permit it.
+///   in RAM until its end. `work` gets the reason where the system refuses.
 pub fn spawn_loop<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     wired: bool,

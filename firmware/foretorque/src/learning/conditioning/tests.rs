@@ -14,14 +14,14 @@ fn the_factors_are_those_of_the_sums_over_the_window() {
         let sum = |power| (-d..=d).map(|k: i32| k.pow(power) as f32).sum::<f32>();
         let [sum_0, sum_2, sum_4] = [0, 2, 4].map(sum);
         let curvature = sum_4 - sum_2 * sum_2 / sum_0;
-        let expected = [
+        let expected = FitFactors {
             sum_2,
-            1.0 / sum_0,
-            sum_2 / sum_0,
-            1.0 / sum_2,
-            1.0 / curvature,
-        ];
-        assert_eq!(fit_factors(delay), expected);
+            inv_sum_0: 1.0 / sum_0,
+            mean_square: sum_2 / sum_0,
+            inv_sum_2: 1.0 / sum_2,
+            inv_curvature: 1.0 / curvature,
+        };
+        assert_eq!(FitFactors::new(delay), expected);
     }
 }
 

@@ -5,7 +5,7 @@ mod transitions;
 use crate::arm::Arm;
 use crate::learning::ConfigError;
 use crate::learning::conditioning::{MAX_BRIDGED, MeasurementWindow};
-use crate::learning::config::LearnerConfig;
+use crate::learning::config::{LearnerConfig, PERIODS_S};
 use crate::learning::decision::{Decision, Reason};
 use crate::learning::estimator::Estimator;
 use crate::learning::exchange::{
@@ -196,7 +196,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
         prior: &ParameterSet<N, P>,
         start: &StartDeviations<N, P>,
     ) -> Result<(), ConfigError> {
-        if !(1e-5..=0.1).contains(&period_s) {
+        if !PERIODS_S.contains(&period_s) {
             return Err(ConfigError::TooLarge("period_s"));
         }
         self.config = LearnerConfig::for_arm::<A>(period_s);
@@ -277,7 +277,8 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Learner<A, N, P> {
             self.state.window.reset();
         }
         self.state.next_tick = LearningSample::<N>::tick_after(sample.tick);
-        // Twice the velocity limit, over a whole sample: steps of a coarse encoder are no errors.
+        // A position beyond twice the velocity limit is an encoder error; over a whole sample, for steps of a coarse encoder are
+        // none.
         let sample_s = self.config.decimation as f32 / self.config.inv_period;
         let steps = A::limits()
             .iter()

@@ -99,8 +99,8 @@ fn count_long_run(ticks: u32, parts: Parts) -> Option<()> {
         stage.learning_sample = stage.feedforward.learning_sample(stage.sample.measured);
         learning_cost.add(count(learning_step, stage));
     }
-    learning_cost.print("learning_step");
     tick_cost.print("feedforward_step");
+    learning_cost.print("learning_step");
     Some(())
 }
 
