@@ -503,4 +503,19 @@ fn a_sound_log_of_any_arm_is_refused_for_nothing() {
             here.succeeds("identify --data-check --robot arm.toml --log log.csv");
         }
     }
+    // Few seconds of slow motion, in which what friction leaves looks like a delay.
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/paths/ur5.toml");
+    here.succeeds(format!(
+        "simulate --robot ur5 --trajectory {path} --torque-noise 0 --seed 1 --out log.csv"
+    ));
+    here.succeeds("identify --data-check --robot ur5 --log log.csv");
+}
+
+#[test]
+fn the_real_ur5_is_replayed_with_the_figures_of_the_snapshot() {
+    let here = Directory::new("replay_real");
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests");
+    here.succeeds(format!(
+        "experiment replay-real --logs {root}/data/ur5-real --out out --snapshot {root}/snapshots/replay-real.txt"
+    ));
 }

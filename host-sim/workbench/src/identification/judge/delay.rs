@@ -12,8 +12,9 @@ use std::collections::VecDeque;
 const TRIED: usize = 20;
 const LONGEST_S: f64 = 0.1;
 
-/// Standard deviations from which a delay counts: averages are close to independent.
-const CLEAR: f64 = 3.0;
+/// Standard deviations from which a delay counts: beyond it are as few of Student's t with the seven degrees of freedom that
+/// [`PARTS`] have, as of a normal distribution beyond three [JCGM 100:2008, table G.2].
+const CLEAR: f64 = 4.53;
 /// Rows that follow one another are averaged over this long: noise of the encoders comes back in the torque through the
 /// joint controller, ahead of the position it is seen in, and is fast.
 const AVERAGED_S: f64 = 0.1;
