@@ -17,7 +17,7 @@ use foretorque_workbench::identification::{
 use foretorque_workbench::report::ReportFiles;
 use foretorque_workbench::report::page::or_dash;
 use foretorque_workbench::robot::{EffortKind, LOG_SOURCES, LogColumns, Robot, Units};
-use foretorque_workbench::telemetry_tap::TelemetryTap;
+use foretorque_workbench::telemetry::TelemetryTap;
 use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};

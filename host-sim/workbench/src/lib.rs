@@ -13,7 +13,6 @@ pub mod report;
 pub mod snapshot;
 pub mod table;
 pub mod telemetry;
-pub mod telemetry_tap;
 pub mod training;
 pub mod trajectory;
 

@@ -127,4 +127,145 @@ fn coasting<const N: usize>(q: &Joints<N>, qd: &Joints<N>) -> Motion {
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::robot::{LINK_PARAMETERS, Robot};
+    use nalgebra::{DMatrix, DVector};
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn ur5() -> Robot {
+        Robot::load("ur5").unwrap()
+    }
+
+    fn model(robot: &Robot) -> ReferenceModel<6> {
+        ReferenceModel::new(robot).unwrap()
+    }
+
+    /// A UR5 whose two last drives turn both wrist joints.
+    fn coupled() -> Robot {
+        let limits = "limits = { position_rad = [-2, 2], velocity_rad_s = 2, torque_nm = 20 }";
+        let overlay = format!(
+            "from = 'ur5'
+            joints = [{{ name = 'wrist_2', {limits} }}, {{ name = 'wrist_3', {limits} }}]
+            [coupling]
+            joints = ['wrist_2', 'wrist_3']
+            matrix = [[1, 0.5], [-1, 1]]"
+        );
+        Robot::parse("coupled", &overlay).unwrap()
+    }
+
+    fn random_state(random: &mut ChaCha8Rng) -> State<6> {
+        let mut draw = |size: f64| Joints::<6>::from_fn(|_, _| random.random_range(-size..=size));
+        State {
+            q: draw(std::f64::consts::TAU),
+            qd: draw(std::f64::consts::PI),
+            qdd: draw(10.0),
+        }
+    }
+
+    #[test]
+    fn inverse_dynamics_is_mass_matrix_times_acceleration_plus_bias() {
+        for robot in [ur5(), coupled()] {
+            let model = model(&robot.perturbed(5));
+            let mut random = ChaCha8Rng::seed_from_u64(1);
+            for _ in 0..500 {
+                let state = random_state(&mut random);
+                let (mass, bias) = model.mass_matrix_and_bias(&state.q, &state.qd);
+                let error = model.inverse_dynamics(&state) - (mass * state.qdd + bias);
+                assert!(error.amax() < 1e-12 * 150.0, "{error}");
+                assert!(mass.symmetric_eigenvalues().min() > 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn power_of_the_torques_is_the_change_of_energy() {
+        for robot in [ur5(), coupled()] {
+            let model = model(&robot.perturbed(6));
+            let mut random = ChaCha8Rng::seed_from_u64(2);
+            for _ in 0..200 {
+                let state = random_state(&mut random);
+                let h = 1e-5;
+                let energy = |t: f64| {
+                    let q = state.q + state.qd * t + state.qdd * (0.5 * t * t);
+                    model.energy(&q, &(state.qd + state.qdd * t))
+                };
+                let rate = (energy(h) - energy(-h)) / (2.0 * h);
+                let power = state.qd.dot(&model.inverse_dynamics(&state));
+                let near = (rate - power).abs() < 1e-6 * (1.0 + power.abs());
+                assert!(near, "{rate} {power}");
+            }
+        }
+    }
+
+    #[test]
+    fn regressor_times_standard_parameters_is_the_torque() {
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        for robot in [ur5(), coupled()] {
+            let robot = robot.perturbed(7);
+            let model = model(&robot);
+            let x = DVector::from_vec(robot.standard_parameters());
+            // Rows of the motion before are written over.
+            let mut rows = DMatrix::zeros(6, (LINK_PARAMETERS + 1) * 6);
+            for _ in 0..200 {
+                let state = random_state(&mut random);
+                let tau = model.inverse_dynamics(&state);
+                RigidBodies::new(&robot).regressor_into(&state.into(), &mut rows, 0);
+                let error = &rows * &x - DVector::from_column_slice(tau.as_slice());
+                assert!(error.amax() < 1e-11, "{error}");
+            }
+        }
+    }
+
+    /// θ = C q, and drive torques m with `τ = Cᵀ m`: by hand for the wrist, whose rotors do not turn.
+    #[test]
+    fn drives_of_coupled_joints_carry_their_torques() {
+        let (alone, coupled) = (ur5(), coupled());
+        let [alone, both] = [&alone, &coupled].map(model);
+        let q = Joints::<6>::from_column_slice(&[0.3, -1.0, 0.8, -0.4, 0.6, 0.9]);
+        let tau = alone.gravity_torques(&q);
+        let mut theta = q;
+        (theta[4], theta[5]) = (q[4] + 0.5 * q[5], q[5] - q[4]);
+        let m = both.gravity_torques(&theta);
+        assert!((tau.rows(0, 4) - m.rows(0, 4)).amax() < 1e-12);
+        assert!((tau[4] - (m[4] - m[5])).abs() < 1e-12 && tau[4].abs() > 0.01);
+        assert!((tau[5] - (0.5 * m[4] + m[5])).abs() < 1e-12);
+        let again = Robot::parse("again", &coupled.to_toml().unwrap());
+        assert_eq!(again.unwrap().coupling, coupled.coupling);
+    }
+
+    #[test]
+    fn ur5_has_36_inertial_base_parameters_and_40_with_rotors() {
+        let map = ur5().base_map();
+        let links = LINK_PARAMETERS * 6;
+        assert_eq!(map.columns.iter().filter(|c| **c < links).count(), 36);
+        assert_eq!(map.rank(), 40);
+        assert_eq!(map.columns[36..], [62, 63, 64, 65], "Ia3 to Ia6");
+        // Link 1: Izz alone; each later link: mx, my, Ixx, Ixy, Ixz, Iyz, Izz.
+        assert_eq!(map.columns[0], 6);
+        for link in 1..6 {
+            let expected = [1, 2, 4, 6, 7, 8, 9].map(|k| 10 * link + k);
+            assert_eq!(map.columns[7 * link - 6..7 * link + 1], expected);
+        }
+    }
+
+    #[test]
+    fn base_parameters_give_the_torque_of_the_standard_ones() {
+        let robot = ur5().perturbed(8);
+        let model = model(&robot);
+        let map = ur5().base_map();
+        let mut base_only = DVector::zeros(66);
+        for (value, column) in map.base_parameters(&robot).iter().zip(&map.columns) {
+            base_only[*column] = *value;
+        }
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        for _ in 0..500 {
+            let state = random_state(&mut random);
+            let tau = model.inverse_dynamics(&state);
+            let error =
+                model.regressor(&state) * &base_only - DVector::from_column_slice(tau.as_slice());
+            assert!(error.amax() < 1e-11, "{error}");
+        }
+    }
+}

@@ -1,4 +1,4 @@
-//! The figures as sentences.
+//! The figures as sentences; a conclusion is drawn from them alone.
 
 use super::cell::FrictionKind;
 use super::steps::{Steps, Trained};
@@ -28,8 +28,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
         percent(exact.path_nrmse_ratio),
     ));
     out.push(format!(
-        "A BP network with a hidden layer on q, qd, qdd (18-32-6) shows {} on the held-out 20 % and {} on the arbitrary path: the \
-         split does not show how a model generalises.",
+        "A BP network with a hidden layer on q, qd, qdd (18-32-6) shows {} on the held-out 20 % and {} on the arbitrary path.",
         percent(black_box.validation_loss_ratio),
         percent(black_box.path_nrmse_ratio),
     ));
@@ -57,7 +56,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     if let (Some(physical), Some(robust)) = (mean(&hit, "bp_physical"), mean(&hit, "irls")) {
         out.push(format!(
             "Outliers: with 1 % of them bp_physical has {physical:.3} times the error of weighted least squares, robust least squares \
-             (irls) {robust:.3} times: it is the loss and the cleaning that resist outliers, not the network."
+             (irls) {robust:.3} times."
         ));
     }
     let peaked = of(Some(FrictionKind::Stribeck), None);
@@ -85,7 +84,7 @@ pub(super) fn findings(steps: &Steps, conditions: &[Condition]) -> Vec<String> {
     }
     if let Some((mean, least, most)) = ratios(&noisy, "bp_black_box") {
         out.push(format!(
-            "The black-box network is {mean:.0} times worse than weighted least squares on unseen paths ({least:.0} to {most:.0})."
+            "The black-box network has {mean:.0} times the error of weighted least squares on unseen paths ({least:.0} to {most:.0})."
         ));
     }
     out.extend(samples(conditions));
@@ -146,7 +145,7 @@ pub(super) fn of_times(times: &Times) -> Option<String> {
     });
     let others: Vec<String> = others.collect();
     Some(format!(
-        "Seconds of training on {rows} rows: weighted least squares {:.1} ms; {}. The BP networks are not the efficient way.",
+        "Seconds of training on {rows} rows: weighted least squares {:.1} ms; {}.",
         1e3 * reference,
         others.join(", ")
     ))

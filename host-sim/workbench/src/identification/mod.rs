@@ -8,6 +8,7 @@ mod columns;
 mod consistent;
 mod dataset;
 mod filter;
+mod filter_length;
 mod gains;
 mod identify;
 mod judge;
@@ -21,6 +22,7 @@ mod page;
 mod prepare;
 mod problem;
 mod record;
+mod repeated_rows;
 mod solve;
 mod stream;
 mod study;
@@ -30,6 +32,7 @@ mod whole_log;
 
 pub use columns::{ColumnSet, FrictionTerm, Layout, Parameter};
 pub use filter::despiked;
+pub use filter_length::motion_filter;
 pub use gains::with_gains;
 pub use identify::{IdentifyConfig, Outcome, bank_of_fit, identify, same_content};
 pub use judge::{Finding, JointCheck, Judgement, judge, unexplained};
@@ -37,7 +40,7 @@ pub use log::LogRow;
 pub use methods::{Fit, METHODS, MethodName};
 pub use normal::{CoggingAmplitudes, JointSums, SampleRow};
 pub use page::page;
-pub use prepare::{Preparation, PrepareConfig, Prepared, motion_filter};
+pub use prepare::{Preparation, PrepareConfig, Prepared};
 pub use problem::{Candidate, MethodResult, Progress};
 pub use record::{
     GainRecord, LearningPoint, MethodRecord, ParameterRecord, Report, SplitRecord, ValidationRecord,
