@@ -47,7 +47,7 @@ fn cores<'a>(names: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// Likeness of the joints of a message to those of the robot: 2 with all their names, 1 with these but for what all begin
-/// and end with, else 0.
+/// and end with, beside others or not, else 0.
 pub(super) fn likeness(names: &[String], mapped: Option<&ColumnNames>, robot: &Robot) -> usize {
     let ours: Vec<&str> = robot.joints.iter().map(|own| own.name.as_str()).collect();
     let there: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -61,9 +61,7 @@ pub(super) fn likeness(names: &[String], mapped: Option<&ColumnNames>, robot: &R
     if ours.iter().enumerate().all(is_there) {
         return 2;
     }
-    let cores_there = cores(&there);
-    let same = cores(&ours).iter().all(|own| cores_there.contains(own));
-    usize::from(same && there.len() == ours.len())
+    usize::from(!framed(&there, &cores(&ours)).is_empty())
 }
 
 /// Names of the joints of the arm in a log, in the order of the description.
@@ -387,6 +385,17 @@ mod tests {
         let mut found = framed(&two, &["1", "11"]);
         found.sort();
         assert_eq!(found, sets);
+        // Joints of a message: the arm's, these under a prefix beside those of a gripper, and those of a gripper alone.
+        let robot = ur5();
+        let named = |prefix: &str| -> Vec<String> {
+            let joints = robot.joints.iter();
+            joints.map(|own| prefix.to_owned() + &own.name).collect()
+        };
+        let finger = || ["l_finger".to_owned()].into_iter();
+        assert_eq!(likeness(&named(""), None, &robot), 2);
+        let beside: Vec<String> = named("l_").into_iter().chain(finger()).collect();
+        assert_eq!(likeness(&beside, None, &robot), 1);
+        assert_eq!(likeness(&finger().collect::<Vec<_>>(), None, &robot), 0);
     }
 
     #[test]
