@@ -43,7 +43,7 @@ const FALSE_POWER: f64 = 0.05;
 /// Otherwise it is motion, faster than the filter, or noise beside which a longer filter shows no motion either.
 /// Joints count while they move, in the rows that find the clock of the log.
 ///
-/// It is as long, too, as the noise of the positions requires that [`PrepareConfig`] filters:
+/// It is as long, too, as the noise of the positions requires that [`PrepareConfig`](super::PrepareConfig) filters:
 /// ```text
 /// 720 noise² period / length⁵ = most²     variance of the second derivative of a quadratic fit
 /// ```
