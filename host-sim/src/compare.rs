@@ -82,15 +82,17 @@ fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
                 flatten(below(name), value, into);
             }
         }
-        Value::Array(values) if values.len() <= LONGEST => {
-            for (number, value) in (1..).zip(values) {
-                flatten(below(&entry_name(number, value)), value, into);
-            }
-        }
         // Of curves every point would be a line.
-        Value::Array(values) if values.iter().all(Value::is_object) => {
+        Value::Array(values) if values.len() <= LONGEST || values.iter().all(Value::is_object) => {
+            let mut named: BTreeMap<String, usize> = BTreeMap::new();
             for (number, value) in (1..).zip(values) {
-                flatten(below(&entry_name(number, value)), value, into);
+                let name = entry_name(number, value);
+                let count = named.entry(name.clone()).or_default();
+                *count += 1;
+                match count {
+                    1 => flatten(below(&name), value, into),
+                    count => flatten(below(&format!("{name}#{count}")), value, into),
+                }
             }
         }
         Value::Array(_) | Value::Null => {}
@@ -143,11 +145,15 @@ mod tests {
             "rank": 52, "none": null, "curve": vec![0; 40],
             "runs": (0..17).map(|seed| serde_json::json!({"arm": "a", "seed": seed, "error": 0.5})).collect::<Vec<_>>(),
             "methods": {"wls": {"parameters": [{"name": "Ia1", "value": 0.5}], "rmse_nm": [1.0, null]}},
+            "twice": [{"name": "flips", "lost": 1}, {"name": "flips", "lost": 2}],
         });
         let mut figures = BTreeMap::new();
         flatten(String::new(), &report, &mut figures);
         assert_eq!(figures.get("runs.a/16.error"), Some(&0.5.into()));
         figures.retain(|key, _| !key.starts_with("runs"));
+        let lost = ["twice.flips.lost", "twice.flips#2.lost"].map(|key| figures.get(key).cloned());
+        assert_eq!(lost, [Some(1.into()), Some(2.into())]);
+        figures.retain(|key, _| !key.starts_with("twice"));
         let keys: Vec<&str> = figures.keys().map(String::as_str).collect();
         let expected = [
             "methods.wls.parameters.Ia1.name",

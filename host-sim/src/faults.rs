@@ -41,9 +41,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     // A place that cannot be written or compared is refused before the work.
     arguments.snapshot.check()?;
     write_json(&arguments.out, &report)?;
-    let scratch = std::env::temp_dir().join(format!("foretorque-faults-{}", std::process::id()));
-    std::fs::create_dir_all(&scratch)?;
-    let all = scenarios(lengths, arguments.seed, &scratch);
+    let scratch = tempfile::tempdir()?;
+    let all = scenarios(lengths, arguments.seed, scratch.path());
     let (bar, count) = (Bar::new(), all.len());
     for (place, scenario) in all.iter().enumerate() {
         bar.show(scenario.name, place, count);
@@ -62,7 +61,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         write_json(&arguments.out, &report)?;
     }
     drop(bar);
-    std::fs::remove_dir_all(&scratch)?;
     let failed = report.campaigns.iter().filter(|own| !own.is_survived());
     let failed: Vec<String> = failed
         .map(|campaign| format!("{} ({})", campaign.name, campaign.board))

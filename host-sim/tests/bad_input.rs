@@ -269,6 +269,7 @@ fn child_of(parent: u32, ticks: u32) -> Option<i32> {
 fn a_board_that_dies_in_the_middle_is_told_in_one_line_and_leaves_no_report() {
     for arguments in [
         "run --robot ur5 --board qemu --learn --trajectory validation --out out",
+        "run --robot ur5 --board qemu-usart --trajectory validation --out out",
         "experiment demo --out out",
     ] {
         let here = Directory::new("dying");

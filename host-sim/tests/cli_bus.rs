@@ -210,6 +210,12 @@ robot = \"ur5\" | robot = \"panda\" | 6 joints contradict the 7 joints of robot 
             "bus slcan:/dev/ttyNOWHERE7",
         ),
         (
+            "fdcanusb:/dev/ttyNOWHERE7,/dev/ttyNOWHERE8",
+            "bus fdcanusb:/dev/ttyNOWHERE7,/dev/ttyNOWHERE8: ",
+        ),
+        ("udp:10.0.0.1,here", "bus udp:10.0.0.1,here: "),
+        ("udp:here,there", "bus udp:here,there: "),
+        (
             "fdcanusb:/dev/ttyNOWHERE7",
             "1 named, the profile has 2 buses",
         ),

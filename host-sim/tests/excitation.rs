@@ -4,13 +4,10 @@ use crate::{Directory, assert_contains};
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS as N, PARAMETERS as P, Ur5};
 use foretorque::joint::{JointMeasurement, JointMotion, JointSample, JointVector};
-use foretorque_link::excitation::{
-    AbortReason, ExcitationCommand, ExcitationError, ExcitationProgram, ExcitationState,
-};
-use foretorque_link::wire::NackReason;
+use foretorque_link::excitation::{ExcitationCommand, ExcitationProgram, ExcitationState};
 use foretorque_studies::excitation::recount;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
-use foretorque_workbench::board::{BoardError, Client, Native, Transport};
+use foretorque_workbench::board::{Client, Native, Transport};
 use foretorque_workbench::closed_loop::{ClosedLoop, PdConfig};
 use foretorque_workbench::dynamics::{ReferenceModel, State};
 use foretorque_workbench::excitation::{
@@ -189,8 +186,8 @@ fn emulated() -> Client<N> {
 /// Reply of the board in one tick: torque bit for bit, state, desired motion.
 type Reply = (Vec<u32>, Option<(ExcitationState, JointMotion<N>)>);
 
-/// Plays it on an arm that follows within the resolution of the link, and is `late` in joint 3 from tick 2000 on.
-fn play(client: &mut Client<N>, late: f32) -> Vec<Reply> {
+/// Plays it on an arm that follows within the resolution of the link.
+fn play(client: &mut Client<N>) -> Vec<Reply> {
     client.load_excitation(&program()).expect("it is taken");
     let beside = excitation().at::<N>(0.0).q.add_scalar(-0.1);
     let mut desired = JointMotion {
@@ -205,12 +202,8 @@ fn play(client: &mut Client<N>, late: f32) -> Vec<Reply> {
     started.expect("it may be started");
     client.learning(true).expect("the board learns");
     let mut replies = Vec::new();
-    for tick in 0..TICKS {
-        let mut q = desired.q;
-        if tick >= 2000 {
-            q[2] += late;
-        }
-        let tau = desired.qd * 8.0;
+    for _ in 0..TICKS {
+        let (q, tau) = (desired.q, desired.qd * 8.0);
         let measured = Some(JointMeasurement { q, tau });
         let sample = JointSample { desired, measured };
         let reply = client.sample(&sample).expect("a torque");
@@ -232,7 +225,7 @@ fn stages(replies: &[Reply]) -> Vec<Option<ExcitationState>> {
 
 #[test]
 fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
-    let replies = play(&mut native(), 0.0);
+    let replies = play(&mut native());
     let expected = [
         None,
         Some(ExcitationState::Approaching),
@@ -256,7 +249,7 @@ fn the_board_plays_the_series_of_the_file_the_same_natively_and_emulated() {
             assert!((seen.cast::<f64>() - exact).amax() < most, "tick {k}");
         }
     }
-    let emulated = play(&mut emulated(), 0.0);
+    let emulated = play(&mut emulated());
     assert!(emulated == replies, "the emulator differs");
 }
 
@@ -288,34 +281,4 @@ fn the_desired_motion_stands_still_where_a_report_is_lost() {
         before = record.desired.q;
     }
     assert!(lost > 100, "{lost}");
-}
-
-#[test]
-fn an_arm_that_does_not_follow_is_told_in_the_reply_and_brought_to_rest() {
-    let mut client = native();
-    let replies = play(&mut client, 0.06);
-    let aborted = Some(ExcitationState::Aborted(AbortReason::Tracking(2)));
-    assert_eq!(stages(&replies).last(), Some(&aborted));
-    let last = replies.last().and_then(|(_, excited)| *excited);
-    let (_, end) = last.expect("in charge");
-    assert_eq!(end.qd, JointVector::<N>::zeros());
-    let released = client.excitation(ExcitationCommand::Release);
-    assert_eq!(released.expect("at rest"), ExcitationState::Ready);
-}
-
-#[test]
-fn a_file_for_another_arm_or_beyond_the_limits_is_refused_with_its_reason() {
-    let refused = |change: fn(&mut ExcitationProgram<N>)| {
-        let mut program = program();
-        change(&mut program);
-        match native().load_excitation(&program) {
-            Err(BoardError::Refused(NackReason::Excitation(reason))) => Some(reason),
-            _ => None,
-        }
-    };
-    let wrong = refused(|p| p.arm_hash += 1);
-    assert_eq!(wrong, Some(ExcitationError::WrongArm));
-    let beyond = refused(|p| p.certificate[1].velocity_rad_s = 9.0);
-    assert_eq!(beyond, Some(ExcitationError::CertificateBeyondLimits(1)));
-    assert_eq!(refused(|_| {}), None);
 }

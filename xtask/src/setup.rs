@@ -10,7 +10,7 @@ use std::{env, fmt, process};
 use anyhow::{Context as _, Result, anyhow, bail};
 
 use crate::shell::{
-    self, TARGET, Toolchain, Tools, capture, command, linked_name, run_bounded, timed,
+    self, LINKED_NAME, TARGET, Toolchain, Tools, capture, command, run_bounded, timed,
 };
 
 /// Bound on rustup if other ways are left, and if it is the only one.
@@ -125,7 +125,7 @@ impl Machine {
             version(Toolchain::Host),
             found(self.host_target),
             found(self.host_lints),
-            linked_name(),
+            LINKED_NAME,
             version(Toolchain::Linked),
             found(self.linked),
             self.emulator.as_deref().unwrap_or("missing"),
@@ -255,7 +255,7 @@ fn build_toolchain(needs: &[Need], forced: Option<Way>) -> Result<()> {
         || {
             let (home, oldest) = (home()?, env!("CARGO_PKG_RUST_VERSION"));
             let home = home.to_string_lossy();
-            debian("toolchain", &[&home, &linked_name(), TARGET, oldest])
+            debian("toolchain", &[&home, LINKED_NAME, TARGET, oldest])
         },
     )
 }

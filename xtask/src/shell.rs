@@ -109,10 +109,8 @@ pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
 /// The board's cargo profile.
 pub(crate) const PROFILE: &str = "firmware";
 
-/// Name under which set-up links the toolchain it builds. The variable lets a trial run keep clear of the real one.
-pub(crate) fn linked_name() -> String {
-    env::var("FORETORQUE_TOOLCHAIN_NAME").unwrap_or_else(|_| "foretorque-arm".into())
-}
+/// Name under which set-up links the toolchain it builds.
+pub(crate) const LINKED_NAME: &str = "foretorque-arm";
 
 /// The linked ELF of a binary of the board.
 pub(crate) fn elf(binary: &str) -> PathBuf {
@@ -138,7 +136,7 @@ impl fmt::Display for Toolchain {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Toolchain::Host => write!(f, "cargo"),
-            Toolchain::Linked => write!(f, "cargo +{}", linked_name()),
+            Toolchain::Linked => write!(f, "cargo +{LINKED_NAME}"),
         }
     }
 }
@@ -148,7 +146,7 @@ impl Toolchain {
     pub(crate) fn tool(self, line: &str) -> Command {
         match self {
             Toolchain::Host => command(line),
-            Toolchain::Linked => command(&format!("rustup run {} {line}", linked_name())),
+            Toolchain::Linked => command(&format!("rustup run {LINKED_NAME} {line}")),
         }
     }
 

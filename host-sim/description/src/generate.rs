@@ -105,13 +105,7 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>, arm: &str) -> 
         let (base, standard, weight) = (term.base, term.standard, term.weight);
         format!("BaseTerm::new({base}, {standard}, {weight:?})")
     });
-    let limits = rows(&model.limits, |limits| {
-        let (lower, upper) = limits.position;
-        let values = [lower, upper, limits.velocity, limits.torque];
-        let [lower, upper, velocity, torque] = values.map(number);
-        let position = format!("({lower}, {upper})");
-        format!("JointLimits {{ position: {position}, velocity: {velocity}, torque: {torque} }}")
-    });
+    let limits = rows(&model.limits, |limits| format!("{limits:?}"));
     let cycles = &model.cogging_cycles;
     let cogging = match cycles.iter().any(|cycles| *cycles != 0.0) {
         true => format!("    const COGGING_CYCLES: [f32; JOINTS] = {cycles:?};\n"),
@@ -125,7 +119,7 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>, arm: &str) -> 
     format!(
         "\
 //! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.
-#![allow(dead_code, reason = \"a program needs some of these names only\")]
+#![allow(clippy::approx_constant, dead_code, reason = \"numbers of a description; a program needs some of these names only\")]
 
 use foretorque::arm::{{Arm, BaseTerm, JointLimits, LinkColumns, Placement}};
 
@@ -235,27 +229,6 @@ fn placement(joint: &Joint) -> Placement {
         rot_parent_child: std::array::from_fn(|row| std::array::from_fn(|col| rot[(row, col)])),
         // Products of a right angle's 0 may come out as −0, which is not the 0 that costs nothing.
         origin: joint.placement.origin.map(|x| x as f32 + 0.0).into(),
-    }
-}
-
-/// A number as Rust source. Fractions of a turn go by their names; near misses, such as a limit of 3.14, by their bits,
-/// because the lints take them for misspelt constants.
-fn number(value: f32) -> String {
-    use core::f32::consts::*;
-    let names = [("FRAC_PI_2", FRAC_PI_2), ("PI", PI), ("TAU", TAU)];
-    if let Some((name, _)) = names.iter().find(|(_, named)| *named == value.abs()) {
-        let sign = if value < 0.0 { "-" } else { "" };
-        return format!("{sign}core::f32::consts::{name}");
-    }
-    #[rustfmt::skip]
-    let known: [f32; 19] = [
-        E, FRAC_1_PI, FRAC_1_SQRT_2, FRAC_2_PI, FRAC_2_SQRT_PI, FRAC_PI_2, FRAC_PI_3, FRAC_PI_4, FRAC_PI_6,
-        FRAC_PI_8, LN_2, LN_10, LOG2_10, LOG2_E, LOG10_2, LOG10_E, PI, SQRT_2, TAU,
-    ];
-    if known.iter().any(|named| (named - value.abs()).abs() < 5e-3) {
-        format!("f32::from_bits({:#010x} /* {value} */)", value.to_bits())
-    } else {
-        format!("{value:?}")
     }
 }
 

@@ -163,20 +163,6 @@ fn a_bank_goes_up_is_in_force_and_comes_back() {
 }
 
 #[test]
-fn a_bank_for_another_arm_or_while_learning_changes_nothing() {
-    let mut client = client();
-    let before = client.read_bank().unwrap();
-    let mut foreign = before.clone();
-    foreign.arm_hash ^= 1;
-    let error = client.upload_bank(&foreign).unwrap_err();
-    assert!(matches!(error, BoardError::WrongBank(..)));
-    client.learning(true).unwrap();
-    let error = client.upload_bank(&before).unwrap_err();
-    assert!(matches!(error, BoardError::Refused(NackReason::LearningOn)));
-    assert_eq!(client.read_bank().unwrap(), before);
-}
-
-#[test]
 fn configuration_is_judged_and_restarts_the_tick() {
     let mut client = client();
     client.sample(&sample(0)).unwrap();

@@ -82,7 +82,7 @@ pub fn drives(input: &[u8]) {
         if let Some(Request::Command(command)) = profile.accept(&frame) {
             assert!(command.is_finite(), "{frame:?} {command:?}");
             let mut frames = Frames::new();
-            let _ = profile.command(&command, &mut Carry::default(), &mut frames);
+            profile.command(&command, &mut Carry::default(), &mut frames);
             let read = profile.accept(&frames[0]);
             let torque = match read {
                 Some(Request::Command(command)) => command.torque,
@@ -110,7 +110,7 @@ pub(crate) fn frames() -> Vec<Vec<u8>> {
                 kp: 20.0,
                 ..JointCommand::default()
             };
-            let _ = profile.command(&command, &mut Carry::default(), &mut frames);
+            profile.command(&command, &mut Carry::default(), &mut frames);
             let mut replies = Frames::new();
             profile.reply(&JointReply::default(), &mut replies);
             let mut orders = Frames::new();

@@ -50,25 +50,30 @@ impl Board {
         self.board.sensor.powered(&self.board.session)
     }
 
+    /// A command and a reply of every drive at position zero and `celsius`, as they pass a board in line.
+    fn pass(&mut self, celsius: f32) {
+        for joint in self.drives.config.joints {
+            let (mut frames, mut carry) = (Frames::new(), Carry::default());
+            let command = JointCommand::default();
+            joint.drive.command(&command, &mut carry, &mut frames);
+            self.board.sensor.receive(0, &frames[0]);
+            frames.clear();
+            let reply = JointReply {
+                position: Some(0.0),
+                torque: Some(0.0),
+                temperature: Some(celsius),
+                state: Some(DriveState::Enabled),
+                ..JointReply::default()
+            };
+            joint.drive.reply(&reply, &mut frames);
+            self.board.sensor.receive(1, &frames[0]);
+        }
+    }
+
     /// Periods of a board in line, whose drives get the position zero and report it; with samples of the link or without.
     fn line(&mut self, periods: u32, orders: &[HostMessage<6>], samples: bool) {
         for _ in 0..periods {
-            for joint in self.drives.config.joints {
-                let (mut frames, mut carry) = (Frames::new(), Carry::default());
-                let command = JointCommand::default();
-                joint.drive.command(&command, &mut carry, &mut frames);
-                self.board.sensor.receive(0, &frames[0]);
-                frames.clear();
-                let reply = JointReply {
-                    position: Some(0.0),
-                    torque: Some(0.0),
-                    temperature: Some(30.0),
-                    state: Some(DriveState::Enabled),
-                    ..JointReply::default()
-                };
-                joint.drive.reply(&reply, &mut frames);
-                self.board.sensor.receive(1, &frames[0]);
-            }
+            self.pass(30.0);
             if samples {
                 self.rest(1, orders);
             } else {
@@ -118,10 +123,7 @@ impl Board {
         orders: &[HostMessage<6>],
         change: fn(usize, &mut JointReply) -> bool,
     ) {
-        let still = SampleFrame::new(&JointSample {
-            desired: JointMotion::zero(),
-            measured: None,
-        });
+        let still = still();
         for k in 1..=periods {
             let mut messages = vec![HostMessage::Sample(still.in_period(k as u8 % 32))];
             if k == periods {
@@ -217,16 +219,21 @@ fn no_save_no_restart_and_no_supply_cut_while_drives_are_on() {
     assert!(!board.powered());
 }
 
+/// A sample at rest, without a measurement.
+fn still() -> SampleFrame<6> {
+    SampleFrame::new(&JointSample {
+        desired: JointMotion::zero(),
+        measured: None,
+    })
+}
+
 /// Two samples in one period, and none in the next, as an adapter delivers them.
 #[test]
 fn samples_that_come_in_pairs_are_one_command_a_period() {
     let mut board = Board::new();
     board.rest(50, &[HostMessage::Arm]);
     board.rest(700, &[]);
-    let still = SampleFrame::new(&JointSample {
-        desired: JointMotion::zero(),
-        measured: None,
-    });
+    let still = still();
     for k in 0..250_u8 {
         let pair = [0, 1].map(|n| HostMessage::Sample(still.in_period((k % 16) * 2 + n)));
         for samples in [&pair[..], &[]] {
@@ -411,20 +418,7 @@ fn a_temperature_beyond_the_plausible_ones_is_hot_in_line_too() {
     for (celsius, armed) in [(40.0, true), (130.0, false)] {
         let mut board = Board::of(Role::InLine, config());
         for _ in 0..20 {
-            for joint in config().joints {
-                let (mut frames, mut carry) = (Frames::new(), Carry::default());
-                let command = JointCommand::default();
-                joint.drive.command(&command, &mut carry, &mut frames);
-                board.board.sensor.receive(0, &frames[0]);
-                frames.clear();
-                let reply = JointReply {
-                    temperature: Some(celsius),
-                    state: Some(DriveState::Enabled),
-                    ..JointReply::default()
-                };
-                joint.drive.reply(&reply, &mut frames);
-                board.board.sensor.receive(1, &frames[0]);
-            }
+            board.pass(celsius);
             board.rest(1, &[HostMessage::Arm]);
         }
         let session = &board.board.session;
@@ -478,11 +472,7 @@ fn a_board_keeps_the_torque_limits_of_its_drives_and_their_derating() {
     let step = RANGES.torque / 2047.0;
     for (celsius, most) in [(30.0, 7.0), (90.0, 3.5)] {
         for _ in 0..100 {
-            let still = HostMessage::Sample(SampleFrame::new(&JointSample {
-                desired: JointMotion::zero(),
-                measured: None,
-            }));
-            board.period(&[still], |_, reply| {
+            board.period(&[HostMessage::Sample(still())], |_, reply| {
                 reply.temperature = Some(celsius);
                 true
             });

@@ -4,7 +4,7 @@ use super::config::{BUSES, BusJoint, alternating, micros, periods};
 use super::joint::{JointCounters, JointLink, STATE_PERIODS};
 use super::{BusFault, FaultCause};
 use super::{DAMPING_S, ENABLE_S, SILENCE_S, SOFT_START_S};
-use crate::drives::{DriveState, Frame, Frames, JointCommand, Order, Saturation};
+use crate::drives::{DriveState, Frame, Frames, JointCommand, Order};
 use crate::safety::{JUMP_MARGIN, SafetyLimits, SafetyReason};
 use foretorque::arm::Arm;
 use foretorque::joint::{JointMeasurement, JointMotion, JointVector};
@@ -344,13 +344,12 @@ impl<const N: usize> BusDrives<N> {
         torque: &JointVector<N>,
         armed: bool,
         send: &mut impl FnMut(u8, &Frame),
-    ) -> Saturation {
+    ) {
         self.idle = (self.idle + 1) % IDLE_ROUND;
         let gains = match self.phase {
             BusPhase::Running(count) => (count as f32 * self.period_s / SOFT_START_S).min(1.0),
             _ => 1.0,
         };
-        let mut saturation = Saturation::default();
         let mut frames = Frames::new();
         // All drives answer one SYNC of CiA 402; no other frame is the same for two of them.
         let mut last = [None; BUSES as usize];
@@ -412,7 +411,7 @@ impl<const N: usize> BusDrives<N> {
             };
             match command {
                 Some(command) => {
-                    saturation.insert(joint.drive.command(&command, &mut link.carry, &mut frames));
+                    joint.drive.command(&command, &mut link.carry, &mut frames);
                 }
                 None if matches!(self.phase, BusPhase::Enabling(_)) => {
                     let order = match link.reply.state {
@@ -449,7 +448,6 @@ impl<const N: usize> BusDrives<N> {
             }
         }
         self.off_due &= self.phase != BusPhase::Off;
-        saturation
     }
 
     /// The drives are off, and the frames for it are sent.

@@ -16,7 +16,6 @@ const FAR_REPLIES: u8 = 3;
 pub(super) const STATE_PERIODS: u16 = 3;
 /// Highest temperature that the safety takes, °C: a drive may report more.
 const MOST_C: f32 = *PLAUSIBLE_C.end() as f32;
-const SCALES: [Scale; 3] = [Scale::Position, Scale::Velocity, Scale::Torque];
 
 /// Counters of one joint. All saturate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,8 +26,6 @@ pub struct JointCounters {
     pub lost: u32,
     /// Replies beyond the first of their period.
     pub doubled: u32,
-    /// Most periods in a row without a reply.
-    pub longest_gap: u16,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +66,7 @@ pub(super) struct JointLink {
 impl JointLink {
     pub(super) fn new(joint: BusJoint) -> Self {
         let mut frames = Frames::new();
-        let scales = SCALES.map(|scale| {
+        let scales = Scale::ALL.map(|scale| {
             frames.clear();
             let readable = joint.scale(scale).is_some()
                 && joint.drive.order(Order::ReadScale(scale), &mut frames);
@@ -153,7 +150,6 @@ impl JointLink {
             self.age = self.age.saturating_add(1);
             if self.counters.replies > 0 {
                 increment(&mut self.counters.lost);
-                self.counters.longest_gap = self.counters.longest_gap.max(self.age);
             }
             return None;
         }
@@ -208,7 +204,7 @@ impl JointLink {
     }
 
     fn different_scale(&self) -> Option<FaultCause> {
-        SCALES
+        Scale::ALL
             .into_iter()
             .zip(self.scales)
             .find_map(|(scale, check)| match check {
@@ -240,7 +236,7 @@ impl JointLink {
 
     /// The first scale that the drive can report and has not.
     pub(super) fn unknown_scale(&self) -> Option<Scale> {
-        let mut checks = SCALES.into_iter().zip(self.scales);
+        let mut checks = Scale::ALL.into_iter().zip(self.scales);
         let found = checks.find(|(_, check)| *check == ScaleCheck::Unknown);
         found.map(|(scale, _)| scale)
     }

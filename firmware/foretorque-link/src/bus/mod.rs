@@ -17,7 +17,7 @@ mod drives;
 mod joint;
 
 use crate::bank::{Parameters, feed_forward_config};
-use crate::drives::{Contradiction, Frame, Saturation, Scale};
+use crate::drives::{Contradiction, Frame, Scale};
 use crate::safety::{Safety, SafetyReason, SafetyState, SafetyStatus};
 use crate::session::LearnerMailbox;
 pub use board::{BoardDrives, Role, Wires, Wiring};
@@ -112,8 +112,6 @@ pub struct BusTick<const N: usize> {
     pub status: SafetyStatus,
     /// Stage.
     pub phase: BusPhase,
-    /// Values of all joints that did not fit a frame.
-    pub saturation: Saturation,
 }
 
 /// Loop of the drives of one arm: desired motion in, command frames out, replies in.
@@ -292,13 +290,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> BusController<A, N, P> {
             self.safety.trip(SafetyReason::Drive);
         }
         let armed = self.safety.status().state == SafetyState::Armed;
-        let saturation = self.drives.command(&torque.total, armed, &mut send);
+        self.drives.command(&torque.total, armed, &mut send);
         BusTick {
             torque,
             measured,
             status: self.safety.status(),
             phase: self.drives.phase(),
-            saturation,
         }
     }
 }

@@ -286,18 +286,6 @@ fn no_drive_is_switched_on_where_torque_may_not_flow() {
 }
 
 #[test]
-fn a_stop_switches_every_drive_off_with_its_next_frame() {
-    for periods in 1..6 {
-        let mut drives = Drives::new();
-        let mut controller = drives.started();
-        drives.rest(&mut controller, periods);
-        controller.stop(&mut LearnerMailbox::default());
-        drives.rest(&mut controller, 1);
-        assert_eq!(drives.on(), [false; 6], "{periods}");
-    }
-}
-
-#[test]
 fn a_fault_that_is_cleared_is_cleared_in_the_drive_too() {
     let mut drives = Drives::new();
     let mut controller = drives.started();

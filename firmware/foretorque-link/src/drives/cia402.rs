@@ -14,7 +14,7 @@
 use super::frame::{carried, join, nearest};
 use super::{
     Cia402, ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply,
-    Order, Outgoing, Request, Saturation, Scale, TURN, push,
+    Order, Outgoing, Request, Scale, TURN, push, within,
 };
 
 const ENABLED: u16 = 0x0f;
@@ -50,15 +50,14 @@ impl Codec<'_> {
         const MOST: f32 = 2_147_483_500.0;
         let counts = self.scales.counts_per_turn / TURN;
         let (position, velocity) = (motion.position * counts, motion.velocity * counts);
-        let flags = &mut *out.flags;
         let target = match self.scales.mode {
-            ControlMode::Position => flags.clamp(position, MOST, Saturation::POSITION),
-            ControlMode::Velocity => flags.clamp(velocity, MOST, Saturation::VELOCITY),
+            ControlMode::Position => within(position, -MOST, MOST),
+            ControlMode::Velocity => within(velocity, -MOST, MOST),
             ControlMode::Torque => 0.0,
         };
         let most = i32::from(i16::MAX);
         let torque = motion.torque * 1e3 / self.scales.rated_torque;
-        let torque = flags.clamp(torque, most as f32, Saturation::TORQUE);
+        let torque = within(torque, -most as f32, most as f32);
         let torque = carried(torque, &mut out.carry.torque, -most, most) as i16;
         push(out.frames, self.output(ENABLED, nearest(target), torque));
     }

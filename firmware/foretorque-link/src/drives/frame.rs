@@ -113,55 +113,14 @@ impl fmt::Debug for Frame {
     }
 }
 
-/// Flags of one command: what did not fit its field.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Saturation(pub u8);
-
-impl Saturation {
-    /// Position out of the field's range.
-    pub const POSITION: Self = Self(1);
-    /// Velocity out of the field's range.
-    pub const VELOCITY: Self = Self(1 << 1);
-    /// Torque beyond the profile's limit or the field's range.
-    pub const TORQUE: Self = Self(1 << 2);
-    /// Stiffness out of the field's range.
-    pub const KP: Self = Self(1 << 3);
-    /// Damping out of the field's range.
-    pub const KD: Self = Self(1 << 4);
-    /// A value is not finite, or the protocol has no such command: no torque.
-    pub const REFUSED: Self = Self(1 << 7);
-
-    /// No flag is set.
-    pub const fn is_empty(self) -> bool {
-        self.0 == 0
-    }
-
-    /// Every flag of `other` is set.
-    pub const fn contains(self, other: Self) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// Sets the flags of `other`.
-    pub const fn insert(&mut self, other: Self) {
-        self.0 |= other.0;
-    }
-
-    /// `value` within ±`limit`; sets `flag` where it was not.
-    pub(super) fn clamp(&mut self, value: f32, limit: f32, flag: Self) -> f32 {
-        self.clamp_in(value, -limit, limit, flag)
-    }
-
-    /// `value` within `low` and `high`; sets `flag` where it was not.
-    pub(super) fn clamp_in(&mut self, value: f32, low: f32, high: f32, flag: Self) -> f32 {
-        if value < low {
-            self.insert(flag);
-            low
-        } else if value > high {
-            self.insert(flag);
-            high
-        } else {
-            value
-        }
+/// `value` within `low` and `high`; not a number stays one.
+pub(super) fn within(value: f32, low: f32, high: f32) -> f32 {
+    if value < low {
+        low
+    } else if value > high {
+        high
+    } else {
+        value
     }
 }
 
@@ -218,7 +177,7 @@ impl Ranges {
         command: &JointCommand,
         out: &mut Outgoing<'_>,
     ) -> [u16; 5] {
-        let command = self.clamp(command, out.flags);
+        let command = self.clamp(command);
         let code = |value: f32, scale: f32, carry: &mut f32| {
             carried(centred(value, scale, STEPS), carry, 0, STEPS.into()) as u16
         };
@@ -266,14 +225,15 @@ impl Ranges {
         }
     }
 
-    /// A command in the coordinates of the drive within the fields; sets the flags of what was not.
-    fn clamp(&self, command: &JointCommand, flags: &mut Saturation) -> JointCommand {
+    /// A command in the coordinates of the drive within the fields.
+    fn clamp(&self, command: &JointCommand) -> JointCommand {
+        let within_both = |value, most: f32| within(value, -most, most);
         JointCommand {
-            position: flags.clamp(command.position, self.position, Saturation::POSITION),
-            velocity: flags.clamp(command.velocity, self.velocity, Saturation::VELOCITY),
-            torque: flags.clamp(command.torque, self.torque, Saturation::TORQUE),
-            kp: flags.clamp_in(command.kp, 0.0, self.kp, Saturation::KP),
-            kd: flags.clamp_in(command.kd, 0.0, self.kd, Saturation::KD),
+            position: within_both(command.position, self.position),
+            velocity: within_both(command.velocity, self.velocity),
+            torque: within_both(command.torque, self.torque),
+            kp: within(command.kp, 0.0, self.kp),
+            kd: within(command.kd, 0.0, self.kd),
         }
     }
 }

@@ -12,7 +12,7 @@
 use super::frame::join;
 use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Order, Outgoing,
-    Ranges, Request, Saturation, Scale, push,
+    Ranges, Request, Scale, push,
 };
 
 /// Steps of all fields but the position.
@@ -36,7 +36,6 @@ impl Codec<'_> {
         let mut data = pack([p, v, kp, kd, t]);
         if data.starts_with(&PREFIX) {
             // Seven bytes of 0xff are the prefix of an order.
-            out.flags.insert(Saturation::POSITION);
             data = pack([p.saturating_sub(1), v, kp, kd, t]);
         }
         push(out.frames, Frame::standard(self.drive.id.into(), &data));
@@ -172,22 +171,16 @@ fn unpack([p0, p1, v, vk, kp, kd, kt, t]: [u8; 8]) -> [u16; 5] {
     [u16::from_be_bytes([p0, p1]), v, kp, kd, t]
 }
 
-/// Register of a range: 21 to 23.
+/// Register of the first range.
+const RANGES: u8 = 21;
+
 const fn register(scale: Scale) -> u8 {
-    match scale {
-        Scale::Position => 21,
-        Scale::Velocity => 22,
-        Scale::Torque => 23,
-    }
+    RANGES + scale as u8
 }
 
-const fn scale_of(register: u8) -> Option<Scale> {
-    match register {
-        21 => Some(Scale::Position),
-        22 => Some(Scale::Velocity),
-        23 => Some(Scale::Torque),
-        _ => None,
-    }
+fn scale_of(register: u8) -> Option<Scale> {
+    let place = usize::from(register.checked_sub(RANGES)?);
+    Scale::ALL.get(place).copied()
 }
 
 fn plain(frame: &Frame, id: u16) -> bool {

@@ -5,7 +5,7 @@
 //! Event ◄─────── decode ◄── frames ◄─ bus ◄─ reply ◄── JointReply
 //! ```
 //! [`JointCommand`] and [`JointReply`] are in SI units in the coordinates of the joint; [`DriveProfile`] holds sign, zero,
-//! gear and scales. Nothing here waits, allocates or panics. A value out of range saturates and sets its flag. A command
+//! gear and scales. Nothing here waits, allocates or panics. A value out of range saturates. A command
 //! with a value that is not finite is refused: the frames then take the torque off.
 //!
 //! Where a field has few bits, [`Carry`] adds the rounding error of one frame to the next. The mean torque of successive
@@ -22,7 +22,8 @@ mod profile;
 pub mod text;
 
 use core::fmt;
-pub use frame::{Carry, Frame, Saturation};
+use frame::within;
+pub use frame::{Carry, Frame};
 pub use profile::{
     Cia402, Contradiction, ControlMode, DriveProfile, Moteus, Odrive, Protocol, Ranges, Resolution,
 };
@@ -111,6 +112,11 @@ pub enum Scale {
     Torque,
 }
 
+impl Scale {
+    /// All of them, in their order.
+    pub(crate) const ALL: [Self; 3] = [Self::Position, Self::Velocity, Self::Torque];
+}
+
 impl fmt::Display for Scale {
     /// Name of its field in a profile.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -157,11 +163,10 @@ pub enum Request {
     Order(Order),
 }
 
-/// Frames of a motion command, the rounding errors it takes and leaves, and flags of what saturated.
+/// Frames of a motion command, and the rounding errors it takes and leaves.
 struct Outgoing<'o> {
     frames: &'o mut Frames,
     carry: &'o mut Carry,
-    flags: &'o mut Saturation,
 }
 
 /// The call on the codec of a profile.
@@ -199,32 +204,20 @@ macro_rules! codec {
 }
 
 impl DriveProfile {
-    /// Appends the frames of a motion command. Flags of what saturated; [`Saturation::REFUSED`] where a value was not
-    /// finite, and then the frames take the torque off and `carry` is cleared.
-    pub fn command(
-        &self,
-        command: &JointCommand,
-        carry: &mut Carry,
-        frames: &mut Frames,
-    ) -> Saturation {
-        let mut flags = Saturation::default();
+    /// Appends the frames of a motion command; where a value is not finite, they take the torque off and `carry` is cleared.
+    pub fn command(&self, command: &JointCommand, carry: &mut Carry, frames: &mut Frames) {
         let limited = JointCommand {
-            torque: flags.clamp(command.torque, self.torque_limit, Saturation::TORQUE),
+            torque: within(command.torque, -self.torque_limit, self.torque_limit),
             ..*command
         };
         let drive = self.in_drive(&limited);
         if !(command.is_finite() && drive.is_finite()) {
             *carry = Carry::default();
             self.order(Order::Disable, frames);
-            return Saturation::REFUSED;
+            return;
         }
-        let mut out = Outgoing {
-            frames,
-            carry,
-            flags: &mut flags,
-        };
+        let mut out = Outgoing { frames, carry };
         codec!(self, codec => codec.command(&drive, &mut out));
-        flags
     }
 
     /// Appends the frames of an order. `false`: the protocol has none for it.

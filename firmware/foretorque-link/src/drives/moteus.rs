@@ -7,7 +7,7 @@
 use super::frame::{carried, nearest};
 use super::{
     DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Moteus, Order,
-    Outgoing, Request, Resolution, Saturation, Scale, TURN, push,
+    Outgoing, Request, Resolution, Scale, TURN, push, within,
 };
 use crate::copy;
 
@@ -42,20 +42,18 @@ impl Codec<'_> {
         let kp = motion.kp * TURN / self.scales.kp;
         let kd = motion.kd * TURN / self.scales.kd;
         let most = resolution.largest_scale();
-        let kp = out.flags.clamp_in(kp, 0.0, most, Saturation::KP);
-        let kd = out.flags.clamp_in(kd, 0.0, most, Saturation::KD);
+        let kp = within(kp, 0.0, most);
+        let kd = within(kd, 0.0, most);
         let (turns, speed) = (motion.position / TURN, motion.velocity / TURN);
         let (of_velocity, of_torque) = (&mut out.carry.velocity, &mut out.carry.torque);
-        for (value, step, carry, flag) in [
-            (turns, position, &mut 0.0, Saturation::POSITION),
-            (speed, velocity, of_velocity, Saturation::VELOCITY),
-            (motion.torque, torque, of_torque, Saturation::TORQUE),
-            (kp, unit, &mut 0.0, Saturation::KP),
-            (kd, unit, &mut 0.0, Saturation::KD),
+        for (value, step, carry) in [
+            (turns, position, &mut 0.0),
+            (speed, velocity, of_velocity),
+            (motion.torque, torque, of_torque),
+            (kp, unit, &mut 0.0),
+            (kd, unit, &mut 0.0),
         ] {
-            if write(&mut bytes, resolution, value, step, carry) {
-                out.flags.insert(flag);
-            }
+            write(&mut bytes, resolution, value, step, carry);
         }
         put(&mut bytes, &[WRITE | 0x0d, WATCHDOG as u8]);
         put(&mut bytes, &self.scales.watchdog_s.to_le_bytes());
@@ -257,29 +255,17 @@ const fn form(resolution: Resolution) -> u8 {
 }
 
 /// Appends one value in units of `step`. The most negative integer means "not given", so it is never sent.
-fn write(
-    bytes: &mut Bytes,
-    resolution: Resolution,
-    value: f32,
-    step: f32,
-    carry: &mut f32,
-) -> bool {
+fn write(bytes: &mut Bytes, resolution: Resolution, value: f32, step: f32, carry: &mut f32) {
     match resolution {
-        Resolution::F32 => {
-            put(bytes, &value.to_le_bytes());
-            false
-        }
+        Resolution::F32 => put(bytes, &value.to_le_bytes()),
         Resolution::Int16 => {
-            let (value, most) = (value / step, i32::from(i16::MAX));
-            let code = carried(value, carry, -most, most) as i16;
+            let most = i32::from(i16::MAX);
+            let code = carried(value / step, carry, -most, most) as i16;
             put(bytes, &code.to_le_bytes());
-            value > most as f32 || value < -most as f32
         }
         Resolution::Int32 => {
-            let value = value / step;
-            let code = carried(value, carry, -i32::MAX, i32::MAX);
+            let code = carried(value / step, carry, -i32::MAX, i32::MAX);
             put(bytes, &code.to_le_bytes());
-            value >= 2_147_483_600.0 || value <= -2_147_483_600.0
         }
     }
 }

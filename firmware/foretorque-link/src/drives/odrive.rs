@@ -6,7 +6,7 @@
 use super::frame::{carried, join, pair, unpair};
 use super::{
     ControlMode, DriveProfile, DriveState, Event, Frame, Frames, JointCommand, JointReply, Odrive,
-    Order, Outgoing, Request, Saturation, Scale, TURN, push,
+    Order, Outgoing, Request, Scale, TURN, push, within,
 };
 use crate::copy;
 
@@ -54,14 +54,14 @@ impl Codec<'_> {
         match self.scales.mode {
             ControlMode::Position => {
                 let most = f32::from(i16::MAX);
-                let mut code = |value: f32, carry: &mut f32, flag: Saturation| {
-                    let value = out.flags.clamp(value, most, flag);
+                let code = |value: f32, carry: &mut f32| {
+                    let value = within(value, -most, most);
                     carried(value, carry, (-i16::MAX).into(), i16::MAX.into()) as i16
                 };
                 let speed = speed * self.scales.velocity_scale;
                 let torque = motion.torque * self.scales.torque_scale;
-                let speed = code(speed, &mut out.carry.velocity, Saturation::VELOCITY);
-                let torque = code(torque, &mut out.carry.torque, Saturation::TORQUE);
+                let speed = code(speed, &mut out.carry.velocity);
+                let torque = code(torque, &mut out.carry.torque);
                 let ([v0, v1], [t0, t1]) = (speed.to_le_bytes(), torque.to_le_bytes());
                 let bytes = join(turns.to_le_bytes(), [v0, v1, t0, t1]);
                 self.send(command::POSITION, &bytes, out.frames);

@@ -61,10 +61,11 @@ impl Default for Configuration {
 }
 
 /// Unit of the cost counter of a board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CounterKind {
     /// Nothing: costs are zero.
+    #[default]
     None,
     /// Cycles of the core.
     Cycles,
@@ -101,7 +102,7 @@ pub enum ImageStatus {
 }
 
 /// Clock, option bytes and program of the chip, read at the start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ChipStatus {
     /// Source of the processor clock.
@@ -131,10 +132,11 @@ impl ChipStatus {
 }
 
 /// Cause of a start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetReason {
     /// Unknown.
+    #[default]
     Unknown,
     /// Power came on.
     PowerOn,
@@ -182,7 +184,7 @@ impl core::ops::BitOr for Capabilities {
 }
 
 /// Identity and state of a board.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BoardHello {
     /// Identity of the arm the firmware was built for.
     #[serde(with = "postcard::fixint::le")]

@@ -1,5 +1,9 @@
 //! Constants of `panda`, written by `host-sim generate` from its description. Change that, not this.
-#![allow(dead_code, reason = "a program needs some of these names only")]
+#![allow(
+    clippy::approx_constant,
+    dead_code,
+    reason = "numbers of a description; a program needs some of these names only"
+)]
 
 use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 

@@ -1,5 +1,9 @@
 //! Constants of `ur5`, written by `host-sim generate` from its description. Change that, not this.
-#![allow(dead_code, reason = "a program needs some of these names only")]
+#![allow(
+    clippy::approx_constant,
+    dead_code,
+    reason = "numbers of a description; a program needs some of these names only"
+)]
 
 use foretorque::arm::{Arm, BaseTerm, JointLimits, LinkColumns, Placement};
 
@@ -79,12 +83,12 @@ impl Arm<JOINTS, PARAMETERS> for Ur5 {
         BaseTerm::new(37, 63, 1.0), BaseTerm::new(38, 64, 1.0), BaseTerm::new(39, 65, 1.0),
     ];
     const LIMITS: [JointLimits; JOINTS] = [
-        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 150.0 },
-        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 150.0 },
-        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 150.0 },
-        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
-        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
-        JointLimits { position: (-core::f32::consts::TAU, core::f32::consts::TAU), velocity: core::f32::consts::PI, torque: 28.0 },
+        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 150.0 },
+        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 150.0 },
+        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 150.0 },
+        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 28.0 },
+        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 28.0 },
+        JointLimits { position: (-6.2831855, 6.2831855), velocity: 3.1415927, torque: 28.0 },
     ];
     const COGGING_CYCLES: [f32; JOINTS] = [202.0, 202.0, 202.0, 202.0, 202.0, 202.0];
     const ENCODER_STEP: f32 = 4.79369e-5;

@@ -211,7 +211,7 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
     q: &JointVector<N>,
     qd: &JointVector<N>,
 ) -> JointVector<N> {
-    torques::<A, N, P>(parameters, q, qd, &friction_load::<A, N, P>(q))
+    friction_under::<A, N, P>(parameters, q, qd, &friction_load::<A, N, P>(q))
 }
 
 /// [`friction`] where the gears carry `load`, N × N·m; N × N·m.
@@ -219,16 +219,6 @@ pub fn friction<A: Arm<N, P>, const N: usize, const P: usize>(
 /// Cost: that of [`friction`] without [`friction_load`].
 #[inline(never)]
 pub fn friction_under<A: Arm<N, P>, const N: usize, const P: usize>(
-    parameters: &[FrictionParameters; N],
-    q: &JointVector<N>,
-    qd: &JointVector<N>,
-    load: &JointVector<N>,
-) -> JointVector<N> {
-    torques::<A, N, P>(parameters, q, qd, load)
-}
-
-#[inline(always)]
-fn torques<A: Arm<N, P>, const N: usize, const P: usize>(
     parameters: &[FrictionParameters; N],
     q: &JointVector<N>,
     qd: &JointVector<N>,

@@ -91,16 +91,9 @@ pub struct Angles<const N: usize>(pub(super) [SinCos; N]);
 impl<const N: usize> Angles<N> {
     pub(super) const ZERO: Self = Self([SinCos { sin: 0.0, cos: 1.0 }; N]);
 
-    /// Angles `q`, N × rad; `None` if one is not a number or beyond ±1000 rad.
+    /// Takes the angles `q`, N × rad; false, and of no meaning, if one is not a number or beyond ±1000 rad.
     ///
     /// Cost: one `sin_cos` a joint.
-    #[inline]
-    pub fn of(q: &JointVector<N>) -> Option<Self> {
-        let mut angles = Self::ZERO;
-        angles.take(q).then_some(angles)
-    }
-
-    /// [`of`](Self::of) in place; false, and of no meaning, if there are no such angles.
     #[inline(always)]
     pub(super) fn take(&mut self, q: &JointVector<N>) -> bool {
         for (pair, &q) in self.0.iter_mut().zip(q.as_slice()) {

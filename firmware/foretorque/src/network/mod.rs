@@ -50,20 +50,6 @@ impl Activation for Sigmoid {
     }
 }
 
-/// `tanh(x)`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Tanh;
-
-impl Activation for Tanh {
-    fn value(x: f32) -> f32 {
-        tanh(x)
-    }
-
-    fn slope(y: f32) -> f32 {
-        1.0 - y * y
-    }
-}
-
 /// A back-propagation network with one hidden layer: `I` inputs, `H` hidden units, `O` linear outputs.
 ///
 /// ```text
@@ -77,9 +63,9 @@ impl Activation for Tanh {
 /// forwards and add into accumulators.
 ///
 /// ```
-/// use foretorque::network::{BpNetwork, Tanh};
+/// use foretorque::network::{BpNetwork, Sigmoid};
 /// use nalgebra::SVector;
-/// let network: BpNetwork<3, 6, 2, Tanh> = BpNetwork::random(1);
+/// let network: BpNetwork<3, 6, 2, Sigmoid> = BpNetwork::random(1);
 /// let y = network.forward(&SVector::from([0.1, -0.2, 0.3]));
 /// assert!(y.iter().all(|y| y.is_finite()));
 /// ```
@@ -365,16 +351,15 @@ mod tests {
             assert!(slope_error::<Relu>(x, |x| x.max(0.0)) < 1e-6, "relu at {x}");
             let sigmoid = slope_error::<Sigmoid>(x, |x| 1.0 / (1.0 + (-x).exp()));
             assert!(sigmoid < 1e-6, "sigmoid at {x}");
-            assert!(slope_error::<Tanh>(x, f64::tanh) < 1e-6, "tanh at {x}");
         }
     }
 
     #[test]
     fn the_blocked_sweep_is_the_matrix_product_at_any_width() {
         fn error<const H: usize, const O: usize>() -> f32 {
-            let network: BpNetwork<18, H, O, Tanh> = BpNetwork::random(7);
+            let network: BpNetwork<18, H, O, Sigmoid> = BpNetwork::random(7);
             let x = SVector::<f32, 18>::from_fn(|i, _| (i as f32 * 0.7).sin());
-            let a = (network.hidden_weights * x + network.hidden_bias).map(Tanh::value);
+            let a = (network.hidden_weights * x + network.hidden_bias).map(Sigmoid::value);
             let y = network.output_weights * a + network.output_bias;
             (network.forward(&x) - y).amax()
         }

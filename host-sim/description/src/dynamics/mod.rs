@@ -234,38 +234,4 @@ mod tests {
         let again = Robot::parse("again", &coupled.to_toml().unwrap());
         assert_eq!(again.unwrap().coupling, coupled.coupling);
     }
-
-    #[test]
-    fn ur5_has_36_inertial_base_parameters_and_40_with_rotors() {
-        let map = ur5().base_map();
-        let links = LINK_PARAMETERS * 6;
-        assert_eq!(map.columns.iter().filter(|c| **c < links).count(), 36);
-        assert_eq!(map.rank(), 40);
-        assert_eq!(map.columns[36..], [62, 63, 64, 65], "Ia3 to Ia6");
-        // Link 1: Izz alone; each later link: mx, my, Ixx, Ixy, Ixz, Iyz, Izz.
-        assert_eq!(map.columns[0], 6);
-        for link in 1..6 {
-            let expected = [1, 2, 4, 6, 7, 8, 9].map(|k| 10 * link + k);
-            assert_eq!(map.columns[7 * link - 6..7 * link + 1], expected);
-        }
-    }
-
-    #[test]
-    fn base_parameters_give_the_torque_of_the_standard_ones() {
-        let robot = ur5().perturbed(8);
-        let model = model(&robot);
-        let map = ur5().base_map();
-        let mut base_only = DVector::zeros(66);
-        for (value, column) in map.base_parameters(&robot).iter().zip(&map.columns) {
-            base_only[*column] = *value;
-        }
-        let mut random = ChaCha8Rng::seed_from_u64(5);
-        for _ in 0..500 {
-            let state = random_state(&mut random);
-            let tau = model.inverse_dynamics(&state);
-            let error =
-                model.regressor(&state) * &base_only - DVector::from_column_slice(tau.as_slice());
-            assert!(error.amax() < 1e-11, "{error}");
-        }
-    }
 }

@@ -527,19 +527,6 @@ fn an_assumed_torque_limit_moves_friction_and_rotor() {
 }
 
 #[test]
-fn a_speed_that_friction_does_not_allow_is_no_limit() {
-    // 20 N·m, 3 rad/s; 10 N·m·s/rad of damping take three quarters of the torque at 1.475 rad/s, after 0.25 N·m.
-    let sticky = ARM.replacen("damping=\"0.5\"", "damping=\"10\"", 1);
-    let import = parse("t", &sticky, &TO_HAND).unwrap();
-    assert!((import.robot.joints[1].limits.velocity - 1.475).abs() < 1e-12);
-    let note = "joint 'elbow': friction takes 75 % of the torque limit";
-    assert!(import.begins(note), "{:?}", import.notes());
-    let free = parse("t", ARM, &TO_HAND).unwrap();
-    assert_eq!(free.robot.joints[1].limits.velocity, 3.0);
-    assert!(!free.begins(note), "{:?}", free.notes());
-}
-
-#[test]
 fn inertia_without_mass_is_left_out_on_demand() {
     let massless = ARM.replacen("<mass value=\"0.5\"/>", "<mass value=\"0\"/>", 1);
     let error = refusal(&massless, &TO_HAND);

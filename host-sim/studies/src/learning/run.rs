@@ -14,7 +14,7 @@ use foretorque_link::bank::ParameterBank;
 use foretorque_link::safety::SafetyState;
 use foretorque_link::wire::{Field, TelemetryFrame};
 use foretorque_workbench::board::{Client, Native};
-use foretorque_workbench::closed_loop::{Answer, ClosedLoop, motion_f32};
+use foretorque_workbench::closed_loop::{ClosedLoop, motion_f32};
 use foretorque_workbench::dynamics::Joints;
 use foretorque_workbench::identification::JointSums;
 use foretorque_workbench::metrics::{MOVING_RAD_S, TrackingError};
@@ -84,12 +84,8 @@ impl<const N: usize> Bench<N> {
         let mut tracking = TrackingError::default();
         for tick in 0..ticks {
             let next = path.at((tick + 1) as f64 * PERIOD_S);
-            let answer = Answer {
-                total: plant.true_torque(&next).cast(),
-                shares: None,
-                flags: 0,
-            };
-            let record = play.tick_with(&mut plant, |_| Ok::<_, StudyError>(Some(answer)))?;
+            let torque = plant.true_torque(&next).cast();
+            let record = play.tick_with(&mut plant, |_| Ok::<_, StudyError>(Some(torque)))?;
             if 2 * tick > ticks {
                 tracking.add(&(record.desired.q - record.q));
             }

@@ -78,7 +78,7 @@ pub fn run(
     }))
 }
 
-/// The excitation that `host-sim excite --robot ur5` finds.
+/// An excitation of `host-sim excite --robot ur5`, kept so that the study repeats; the file names its settings.
 const PRECOMPUTED: &str = include_str!("../../../paths/ur5-excitation.json");
 
 /// Settings of the study.

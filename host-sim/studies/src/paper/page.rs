@@ -6,7 +6,7 @@ use super::{Condition, Curves, PaperReport, Times, by_rows, on_all_rows};
 use foretorque::arm::ur5::JOINTS;
 use foretorque_workbench::excitation::page::{legend, panels, picture as excitation_picture};
 use foretorque_workbench::report::page::{Legend, Page, Section, or_dash};
-use foretorque_workbench::report::plot::{Curve, Panel, PlotColor, PlotError, picture};
+use foretorque_workbench::report::plot::{Curve, Panel, PlotColor, picture};
 use foretorque_workbench::snapshot::{aligned, significant};
 
 /// Methods and their colours, in the order of legends and tables.
@@ -39,7 +39,7 @@ const LOSS_LEGEND: [(PlotColor, &str); 5] = [
 pub(super) fn pictures(
     report: &PaperReport,
     curves: &Curves,
-) -> Result<[(&'static str, String); 5], PlotError> {
+) -> std::io::Result<[(&'static str, String); 5]> {
     let draw = |title, legend: &[(PlotColor, &str)], panels: &[Panel], columns, size| {
         let legend = legend.iter().map(|(c, name)| (*c, (*name).to_owned()));
         picture(title, &legend.collect::<Legend>(), panels, columns, size)

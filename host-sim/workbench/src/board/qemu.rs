@@ -129,19 +129,6 @@ impl Emulator {
         self.frame_ports.take()
     }
 
-    /// Hangs up and waits for the emulator to end by itself, as the bulk firmware does. True when it did so well.
-    pub fn hang_up(self, timeout: Duration) -> io::Result<bool> {
-        let Self {
-            mut process,
-            to_board,
-            from_board,
-            ..
-        } = self;
-        drop((to_board, from_board));
-        let status = process.ended(timeout)?;
-        Ok(status.is_some_and(|status| status.success()))
-    }
-
     /// Why the link is gone: nearly always because the emulator is.
     fn broken(&mut self, error: nix::Error) -> io::Error {
         match self.process.ended(EXIT_WAIT) {

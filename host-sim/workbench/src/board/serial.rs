@@ -101,14 +101,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_port_that_is_not_there_is_named() {
-        let error = Serial::open("/dev/ttyNOWHERE7", BAUD).err();
-        let text = error.expect("it is not there").to_string();
-        let expected = "there is no serial port /dev/ttyNOWHERE7";
-        assert!(text.starts_with(expected), "{text}");
-    }
-
-    #[test]
     fn a_port_in_use_is_busy() {
         let (_board, path) = pseudo_terminal();
         let _first = Serial::open(&path, 115_200).expect("it is free");

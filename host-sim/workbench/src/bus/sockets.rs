@@ -14,7 +14,6 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 /// An interface such as `can0`, with CAN-FD where it has it.
 pub(super) struct SocketCan {
     socket: CanFdSocket,
-    name: String,
     off: bool,
 }
 
@@ -27,11 +26,7 @@ impl SocketCan {
         socket.set_nonblocking(true)?;
         // Without error frames the end of the bus shows as silence.
         let _ = socket.set_error_filter_accept_all();
-        Ok(Self {
-            socket,
-            name: name.to_owned(),
-            off: false,
-        })
+        Ok(Self { socket, off: false })
     }
 }
 
@@ -51,10 +46,6 @@ fn taken(id: Id, bytes: &[u8]) -> Frame {
 }
 
 impl Line for SocketCan {
-    fn name(&self) -> String {
-        format!("socketcan:{}", self.name)
-    }
-
     fn send(&mut self, frame: &Frame) -> io::Result<()> {
         let made = identifier(frame).and_then(|id| {
             if frame.fd {
@@ -195,10 +186,6 @@ fn unpacked(mut bytes: &[u8]) -> Option<Frame> {
 }
 
 impl Line for UdpMulticast {
-    fn name(&self) -> String {
-        format!("udp:{}", self.group.ip())
-    }
-
     fn send(&mut self, frame: &Frame) -> io::Result<()> {
         self.sender.send_to(&packed(frame)?, self.group).map(drop)
     }

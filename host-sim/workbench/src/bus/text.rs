@@ -26,7 +26,6 @@ pub(super) enum TextForm {
 /// Adapter on a serial port.
 pub(super) struct TextLine {
     port: Box<dyn SerialPort>,
-    path: String,
     form: TextForm,
     waiting: Vec<u8>,
 }
@@ -40,13 +39,6 @@ const SLCAN_BIT_S: [f64; 9] = [1e4, 2e4, 5e4, 1e5, 1.25e5, 2.5e5, 5e5, 8e5, 1e6]
 const SLCAN_DATA_BIT_S: [f64; 2] = [2e6, 5e6];
 
 impl TextForm {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Slcan => "slcan",
-            Self::Fdcanusb => "fdcanusb",
-        }
-    }
-
     /// Lines that open the bus. An fdcanusb keeps its bit rates itself.
     ///
     /// Errors: bit rates that the protocol has no code for.
@@ -165,7 +157,6 @@ impl TextLine {
         port.write_all(opening.as_bytes())?;
         Ok(Self {
             port,
-            path: path.to_owned(),
             form,
             waiting: Vec::new(),
         })
@@ -181,10 +172,6 @@ impl TextLine {
 }
 
 impl Line for TextLine {
-    fn name(&self) -> String {
-        format!("{}:{}", self.form.name(), self.path)
-    }
-
     fn send(&mut self, frame: &Frame) -> io::Result<()> {
         self.port.write_all(self.form.line(frame)?.as_bytes())
     }

@@ -36,17 +36,6 @@ pub struct TickRecord<const N: usize> {
     pub stage: Option<ExcitationState>,
 }
 
-/// Answer of a board to one sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Answer<const N: usize> {
-    /// The feed-forward torque, N·m.
-    pub total: JointVector<N>,
-    /// Shares of the torque, as far as known.
-    pub shares: Option<BoardShares<N>>,
-    /// Flags of the tick.
-    pub flags: u16,
-}
-
 /// A trajectory that is being played under PD control, with the torque of a board added where there is one.
 ///
 /// The latency of the feed-forward is one tick: the request of tick k asks for the torque of tick k + 1 and carries the
@@ -110,8 +99,7 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         plant: &mut Plant<N>,
         board: Option<&mut Client<N>>,
     ) -> Result<TickRecord<N>, BoardError> {
-        // Without a reply the last motion stands.
-        let mut excited = self.excited;
+        let mut reply = None;
         let mut record = self.tick_with(plant, |sample| {
             let Some(board) = board else {
                 return Ok(None);
@@ -120,16 +108,15 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
                 board.skip_period();
                 return Ok(None);
             };
-            let reply = board.sample(sample)?;
-            excited = reply.excited;
-            Ok(Some(Answer {
-                total: reply.total,
-                shares: Some(reply.shares),
-                flags: reply.flags.0,
-            }))
+            reply = Some(board.sample(sample)?);
+            Ok(reply.map(|reply| reply.total))
         })?;
-        self.excited = excited;
-        if let Some((stage, motion)) = excited {
+        // Without a reply the last motion stands.
+        if let Some(reply) = reply {
+            self.excited = reply.excited;
+            (record.shares, record.flags) = (Some(reply.shares), reply.flags.0);
+        }
+        if let Some((stage, motion)) = self.excited {
             // The board chose what the arm shall do in the next tick.
             record.stage = Some(stage);
             self.desired = State {
@@ -141,14 +128,14 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
         Ok(record)
     }
 
-    /// Runs one tick with any board. `ask` gets the sample, none if it was lost on the way; without an answer the
-    /// feed-forward stays as it is.
+    /// Runs one tick with any board. `ask` gets the sample, none if it was lost on the way, and gives the feed-forward, N × N·m;
+    /// without one it stays as it is.
     ///
     /// Errors: those of `ask`.
     pub fn tick_with<E>(
         &mut self,
         plant: &mut Plant<N>,
-        ask: impl FnOnce(Option<&JointSample<N>>) -> Result<Option<Answer<N>>, E>,
+        ask: impl FnOnce(Option<&JointSample<N>>) -> Result<Option<JointVector<N>>, E>,
     ) -> Result<TickRecord<N>, E> {
         let desired = self.desired;
         let measured = plant.measure();
@@ -163,9 +150,8 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
                 tau: reported.tau.cast(),
             }),
         });
-        let answer = ask(sample.as_ref())?;
-        if let Some(answer) = answer {
-            self.answer = answer.total;
+        if let Some(torque) = ask(sample.as_ref())? {
+            self.answer = torque;
         }
         let record = TickRecord {
             t_s: self.tick as f64 * self.period_s,
@@ -175,8 +161,8 @@ impl<'t, const N: usize> ClosedLoop<'t, N> {
             reported,
             tau,
             feed_forward: self.answer,
-            shares: answer.and_then(|answer| answer.shares),
-            flags: answer.map_or(0, |answer| answer.flags),
+            shares: None,
+            flags: 0,
             stage: None,
         };
         plant.advance(&tau, self.period_s);

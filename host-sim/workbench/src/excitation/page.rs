@@ -4,7 +4,7 @@ use super::Excitation;
 use super::certificate::Certificate;
 use crate::dynamics::{Motion, PerJoint};
 use crate::report::page::{Legend, Page, Section};
-use crate::report::plot::{self, Curve, Panel, PlotColor, PlotError};
+use crate::report::plot::{self, Curve, Panel, PlotColor};
 
 type Pick = fn(&Motion) -> &PerJoint<f64>;
 
@@ -42,7 +42,7 @@ pub fn legend(joints: usize) -> Legend {
 /// The paper's Fig. 3 as an SVG file.
 ///
 /// Errors: those of the plot library.
-pub fn picture(excitation: &Excitation) -> Result<String, PlotError> {
+pub fn picture(excitation: &Excitation) -> std::io::Result<String> {
     let title = format!(
         "Fourier series excitation trajectories, {} (Fig. 3)",
         excitation.robot

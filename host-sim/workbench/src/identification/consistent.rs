@@ -23,17 +23,6 @@ use crate::robot::{LINK_PARAMETERS, Link, Robot};
 use foretorque::dynamics::{FrictionColumn, SHEAR_WIDTH, STRIBECK_WIDTH};
 use nalgebra::{DMatrix, DVector, Matrix4};
 
-/// A consistent fit, and the robot it describes.
-#[derive(Clone, Debug)]
-pub(super) struct ConsistentFit {
-    /// The fit in the parameters of the layout.
-    pub fit: Fit,
-    /// The description with the identified links, rotors and friction.
-    pub robot: Robot,
-    /// Cost of consistency, `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`; its mean under noise alone is half the number of parameters.
-    pub distance_nats: f64,
-}
-
 /// Weight of the divergence from the description at the start of the path, in nats, and at its end. The optimum is missed
 /// by less than the last weight times the number of barriers (6 a joint), far below the effect of noise.
 const WEIGHTS: (f64, f64) = (1e6, 1e-2);
@@ -51,9 +40,11 @@ const THINNEST: f64 = 1e-3;
 /// Least value of a positive scalar of the description from which the path may start, SI.
 const LEAST: f64 = 1e-3;
 
-/// The consistent parameters nearest to `free` in the metric of its covariance; `None` when a matrix that must be positive
-/// definite is not.
-pub(super) fn consistent(robot: &Robot, layout: &Layout, free: &Fit) -> Option<ConsistentFit> {
+/// The consistent parameters nearest to `free` in the metric of its covariance, the description with them, and the cost of
+/// consistency, nats; `None` when a matrix that must be positive definite is not.
+///
+/// The cost is `½ (y − ŷ)ᵀ C⁻¹ (y − ŷ)`; its mean under noise alone is half the number of parameters.
+pub(super) fn consistent(robot: &Robot, layout: &Layout, free: &Fit) -> Option<(Fit, Robot, f64)> {
     let (_, information) = solve_damped(&free.covariance, &DVector::zeros(free.theta.len()))?;
     let map = parameter_map(&robot.base_map(), layout);
     let cone = Cone::around(&with_likely_rotors(robot, layout, free), layout);
@@ -99,16 +90,14 @@ pub(super) fn consistent(robot: &Robot, layout: &Layout, free: &Fit) -> Option<C
         weight *= WEIGHT_STEP;
     }
     let theta = &map * &z;
-    Some(ConsistentFit {
-        distance_nats: distance(&theta),
-        robot: described(robot, layout, &z),
-        fit: Fit {
-            covariance: &map * covariance * map.transpose() * share,
-            theta,
-            sigma: free.sigma,
-            iterations: free.iterations + steps,
-        },
-    })
+    let nats = distance(&theta);
+    let fit = Fit {
+        covariance: &map * covariance * map.transpose() * share,
+        theta,
+        sigma: free.sigma,
+        iterations: free.iterations + steps,
+    };
+    Some((fit, described(robot, layout, &z), nats))
 }
 
 /// The description with a rotor where it gives none: the assumed one, times the median of those found at other joints over

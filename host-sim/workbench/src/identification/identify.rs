@@ -279,7 +279,7 @@ fn gather(
     dataset.sums.all.check_rank(layout)?;
     if dataset.sample.stride > 1 {
         notes.push(format!(
-            "irls, consistent, bp_black_box and bp_residual used every {}th of the rows in the sums; the other methods all of them",
+            "irls, consistent, bp_black_box and bp_residual used one of {} rows in the sums; the other methods all of them",
             dataset.sample.stride
         ));
     }

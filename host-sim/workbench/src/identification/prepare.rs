@@ -33,11 +33,6 @@ pub struct PrepareConfig {
     pub still_rad_s: f64,
 }
 
-/// Cut-offs on motion and torque for rows `period_s` apart, Hz: those wanted, or less where such rows are too far apart.
-fn cut_offs([motion_hz, torque_hz]: [f64; 2], period_s: f64) -> [f64; 2] {
-    [motion_hz.min(0.4 / period_s), torque_hz.min(0.2 / period_s)]
-}
-
 /// Question for the unit of the times of a log whose rows are so far apart that no filter keeps a motion; else empty.
 pub(super) fn other_unit_of_time(period_s: f64) -> String {
     const LONGEST_S: f64 = 0.2;
@@ -59,12 +54,12 @@ impl PrepareConfig {
     ///
     /// Errors: the log's.
     pub fn for_logs(logs: &[&Path], robot: &Robot) -> Result<Self, IdentifyError> {
-        let [mut motion_hz, mut torque_hz] = [40.0_f64, 20.0_f64];
+        let (mut motion_hz, mut torque_hz) = (40.0_f64, 20.0_f64);
         for path in logs {
             let log = WholeLog::open(path, robot)?;
             let period_s = log.period_s();
-            motion_hz = motion_hz.min(noisiest_cut_off(&log, robot));
-            [motion_hz, torque_hz] = cut_offs([motion_hz, torque_hz], period_s);
+            let motion = noisiest_cut_off(&log, robot).min(0.4 / period_s);
+            (motion_hz, torque_hz) = (motion_hz.min(motion), torque_hz.min(0.2 / period_s));
         }
         Ok(Self {
             motion_hz,
@@ -337,11 +332,6 @@ impl Prepared {
         raw.filled(preparation, layout, &|table, width| {
             preparation.smooth_torque(table, width);
         })
-    }
-
-    /// Active columns of `joint` in `row`, filtered.
-    pub(super) fn columns(&self, layout: &Layout, row: usize, joint: usize) -> &[f64] {
-        layout.columns(joint, &self.panel[row * layout.width..])
     }
 
     /// Adds the regressor to motion and torques, and puts all but the motion through the filter `smooth`, which takes a table

@@ -114,7 +114,7 @@ impl Held {
 mod tests {
     use super::super::log_tests::{first_joints, log_of};
     use super::super::whole_log::WholeLog;
-    use super::super::whole_log::tests::{motion, stamped};
+    use super::super::whole_log::tests::{motion, written};
     use super::*;
     use crate::dynamics::PerJoint;
 
@@ -137,7 +137,7 @@ mod tests {
         let slower = |k: u32| 1.31e-2 * (f64::from(k) / 1.31).floor();
         let rests = |k: u32| 1e-2 * f64::from(k.min(70));
         let (rows, log) = repeating(lost);
-        assert_eq!((rows.len(), log.lost, log.left_out()), (150, 37, 37));
+        assert_eq!((rows.len(), log.lost, log.held.left_out), (150, 37, 37));
         // Of a straight line over 20 ms at 4 rad/s².
         for row in rows {
             assert!((row.q[0] - motion(row.t_s).0).abs() < 2.1e-4, "{row:?}");
@@ -156,7 +156,7 @@ mod tests {
             );
         }
         let (rows, log) = repeating(rests);
-        assert_eq!((rows.len(), log.lost, log.left_out()), (150, 0, 0));
+        assert_eq!((rows.len(), log.lost, log.held.left_out), (150, 0, 0));
         assert!((log.period_s() - 1e-2).abs() < 1e-9);
     }
 
@@ -165,7 +165,7 @@ mod tests {
         let stamps: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(k)).collect();
         let kept = |read: &dyn Fn(i32) -> i32| {
             let times: Vec<f64> = (0..400).map(|k| 2.5e-3 * f64::from(read(k))).collect();
-            let (rows, log) = stamped(&times, &stamps);
+            let (rows, log) = written(&times, &stamps, Some(0.0));
             let notes = log.notes.concat();
             let note = notes.split_once("positions repeat in ");
             let note = note.map(|(_, note)| note.to_owned());

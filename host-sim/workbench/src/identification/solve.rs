@@ -96,10 +96,10 @@ fn solve_one(
         MethodName::Irls => linear(robust().cloned(), sampled),
         MethodName::Consistent => {
             let found = consistent(problem.robot, layout, robust()?);
-            let found = found.ok_or(IdentifyError::Unsolvable)?;
-            let mut result = linear(Ok(found.fit), sampled)?;
-            result.robot = Some(found.robot);
-            result.record.distance_from_free_nats = Some(found.distance_nats);
+            let (fit, robot, nats) = found.ok_or(IdentifyError::Unsolvable)?;
+            let mut result = linear(Ok(fit), sampled)?;
+            result.robot = Some(robot);
+            result.record.distance_from_free_nats = Some(nats);
             Ok(result)
         }
         MethodName::Evidence => {

@@ -125,10 +125,10 @@ fn cut_into_stretches(
             log.lost
         ));
     }
-    if log.left_out() > 0 {
+    if log.held.left_out > 0 {
         notes.push(format!(
             "{name}: {} rows repeat the one before and were left out",
-            log.left_out()
+            log.held.left_out
         ));
     }
     Ok(notes)
@@ -188,7 +188,7 @@ pub(super) fn folded(
         return Err(refused(path, problem));
     }
     let phases = fold.sums.ncols();
-    let Some(late_rows) = fold.repeats.late_rows() else {
+    let Some(late_rows) = fold.late_rows() else {
         let problem = format!(
             "the positions do not repeat every {period_s} s: cut off what is not the excitation, or give its period"
         );
@@ -241,14 +241,8 @@ struct Fold {
     period_before: Vec<Option<f64>>,
     /// Positions of the row before.
     row_before: Vec<f64>,
-    repeats: Repeats,
-}
-
-/// Sums over the change Δq of a position from one period to the next, and its change dq from row to row: a period that is
-/// too long by δ rows makes Δq = δ dq.
-#[derive(Default)]
-struct Repeats {
-    /// Σ Δq², Σ Δq dq, Σ dq².
+    /// Σ Δq², Σ Δq dq, Σ dq² with the change Δq of a position from one period to the next, and dq from row to row: a period that
+    /// is too long by δ rows makes Δq = δ dq.
     apart: [f64; 3],
     /// Rows, Σ q, Σ q², joint by joint.
     motion: Vec<[f64; 3]>,
@@ -257,7 +251,7 @@ struct Repeats {
 /// Largest part of the motion that may differ from period to period.
 const DIFFERENT: f64 = 0.01;
 
-impl Repeats {
+impl Fold {
     /// Rows by which the period is too long; `None` where the positions do not repeat.
     fn late_rows(&self) -> Option<f64> {
         let [differences, shift, steps] = self.apart;
@@ -272,9 +266,7 @@ impl Repeats {
         let rest = differences - shift * shift / steps;
         (rest <= DIFFERENT * variances.sum::<f64>()).then_some(shift / steps)
     }
-}
 
-impl Fold {
     fn new(
         first: &[LogRow],
         period_s: f64,
@@ -315,10 +307,8 @@ impl Fold {
             spikes: 0,
             period_before: vec![None; phases * joints],
             row_before: Vec::new(),
-            repeats: Repeats {
-                motion: vec![[0.0; 3]; joints],
-                ..Repeats::default()
-            },
+            apart: [0.0; 3],
+            motion: vec![[0.0; 3]; joints],
         })
     }
 
@@ -360,10 +350,10 @@ impl Fold {
                 if let (Some(last), Some(row)) = (last, self.row_before.get(joint)) {
                     let (apart, step) = (q - last, q - row);
                     let products = [apart * apart, apart * step, step * step];
-                    let sums = self.repeats.apart.iter_mut().zip(products);
+                    let sums = self.apart.iter_mut().zip(products);
                     sums.for_each(|(sum, product)| *sum += product);
                 }
-                let sums = self.repeats.motion[joint].iter_mut().zip([1.0, q, q * q]);
+                let sums = self.motion[joint].iter_mut().zip([1.0, q, q * q]);
                 sums.for_each(|(sum, value)| *sum += value);
             }
             self.row_before = row.q.to_vec();

@@ -207,7 +207,7 @@ impl Study<'_> {
         let fit = match result.name {
             MethodName::Consistent => {
                 let found = consistent(robot, board, &free);
-                found.ok_or(IdentifyError::Unsolvable)?.fit
+                found.ok_or(IdentifyError::Unsolvable)?.0
             }
             MethodName::Evidence => evidence(robot, board, &sums, &free.sigma)?,
             _ => free,

@@ -36,7 +36,7 @@ pub(super) fn too_short(path: &Path, rows: usize) -> TableError {
 /// Three periods of 8 ms taken for one would triple a derived velocity and add a false acceleration.
 pub struct WholeLog {
     pub(super) reader: LogReader,
-    held: Held,
+    pub(super) held: Held,
     /// The first rows, those put in included.
     pub(super) preview: Vec<LogRow>,
     /// Noise of the positions, standard deviation, rad.
@@ -132,11 +132,6 @@ impl WholeLog {
         Ok(log)
     }
 
-    /// Rows of a moving arm that repeated the one before and were left out so far.
-    pub(super) fn left_out(&self) -> usize {
-        self.held.left_out
-    }
-
     /// Time between two rows, s.
     pub fn period_s(&self) -> f64 {
         self.period_s
@@ -156,16 +151,6 @@ impl WholeLog {
             }
         }
         Ok(self.waiting.pop_front())
-    }
-
-    /// Periods in a step of time, s; 1 where the clock shows no loss.
-    fn periods(&self, step_s: f64) -> f64 {
-        let periods = step_s / self.period_s;
-        if self.clock != Clock::Even || periods > GAP_PERIODS {
-            1.0
-        } else {
-            periods.round().max(1.0)
-        }
     }
 
     /// Queues what follows from the row read last, `None` at the end of the log.
@@ -240,8 +225,9 @@ impl WholeLog {
             }
             self.next_s += self.period_s;
         }
-        let long = |last: LogRow| self.periods(row.t_s - last.t_s) > 1.0;
-        if !self.late.is_empty() || self.last.is_some_and(long) {
+        let lost = 1.5..=GAP_PERIODS;
+        let long = |last: LogRow| lost.contains(&((row.t_s - last.t_s) / self.period_s));
+        if self.clock == Clock::Even && (!self.late.is_empty() || self.last.is_some_and(long)) {
             self.late.push(row);
         } else {
             self.push(row, 0);
@@ -348,15 +334,8 @@ pub(super) mod tests {
         )
     }
 
-    /// Rows of a log of one joint that moves on a cubic, its positions read at these times, its torques at these stamps.
-    pub(in crate::identification) fn stamped(
-        times_s: &[f64],
-        stamps_s: &[f64],
-    ) -> (Vec<LogRow>, WholeLog) {
-        written(times_s, stamps_s, Some(0.0))
-    }
-
-    /// Rows of [`stamped`] with velocities that are wrong by up to `error`, rad/s, or without velocities.
+    /// Rows of a log of one joint that moves on a cubic, its positions read at these times, its torques at these stamps, with
+    /// velocities that are wrong by up to `error`, rad/s, or without velocities.
     pub(in crate::identification) fn written(
         times_s: &[f64],
         stamps_s: &[f64],
@@ -378,7 +357,7 @@ pub(super) mod tests {
     #[test]
     fn noise_of_positions_is_that_of_rounding_and_of_late_reports() {
         let noise_at = |read: &dyn Fn(usize) -> f64| {
-            let (rows, _) = stamped(&[0.0, 5e-3, 1e-2], &[0.0, 5e-3, 1e-2]);
+            let (rows, _) = written(&[0.0, 5e-3, 1e-2], &[0.0, 5e-3, 1e-2], Some(0.0));
             let rows: Vec<LogRow> = (0..4000)
                 .map(|k| LogRow {
                     q: PerJoint::from_fn(1, |_| read(k)),
@@ -406,7 +385,7 @@ pub(super) mod tests {
             .filter(|k| k % 4 < 2)
             .map(|k| 8e-3 * f64::from(k) + 2e-4 * f64::from(k * 7 % 3 - 1))
             .collect();
-        let (rows, log) = stamped(&times, &times);
+        let (rows, log) = written(&times, &times, Some(0.0));
         assert_eq!((rows.len(), log.lost), (398, 198));
         assert!((log.period_s() - 8e-3).abs() < 1e-5, "{}", log.period_s());
         for row in &rows {
@@ -435,7 +414,7 @@ pub(super) mod tests {
             ("bunched", sent, bunched),
             ("halted", halted.clone(), halted),
         ] {
-            let (rows, log) = stamped(&times, &stamps);
+            let (rows, log) = written(&times, &stamps, Some(0.0));
             assert_eq!((rows.len(), log.lost), (times.len(), 0), "{name}");
             for (row, t) in rows.iter().zip(times) {
                 // Even, and behind by the mean delay of 1.9 ms.

@@ -226,7 +226,6 @@ fn outside_ranges(solutions: usize) -> Refusal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::excitation::Excitation;
     use nalgebra::Vector3;
 
     fn ur5() -> Robot {
@@ -293,25 +292,6 @@ mod tests {
             chain.expect("six joints").forward(&q)
         });
         assert!(pose_error(&own, &other).amax() < 1e-12);
-    }
-
-    #[test]
-    fn an_excitation_is_followed_through_its_singularities() {
-        let robot = ur5();
-        let inverse = Inverse::<6>::new(&robot, &Placement::identity()).expect("six joints");
-        let series = Excitation::quick(&robot, 5, 10.0, 200, || ()).expect("feasible");
-        let at = |k: i32| series.at::<6>(f64::from(k) * 1e-3);
-        let mut q = at(0).q;
-        let mut worst = 0.0_f64;
-        for k in 1..=10_000 {
-            let (before, now) = (at(k - 1), at(k));
-            let predicted = q + (before.qd + now.qd) * 0.5e-3;
-            let target = inverse.chain.forward(&now.q);
-            let found = inverse.onwards(&target, &predicted, 0.1);
-            q = found.expect("it is there");
-            worst = worst.max((q - now.q).amax());
-        }
-        assert!(worst < 1e-6, "{worst} rad");
     }
 
     #[test]

@@ -307,20 +307,6 @@ fn a_file_of_effects_is_checked() {
     }
 }
 
-#[test]
-fn the_same_seed_repeats_every_bit() {
-    let run = |seed| {
-        let mut plant = Plant::<6>::new(&truth(), PlantConfig::default(), seed).expect("six");
-        for _ in 0..50 {
-            let tau = plant.measure().tau;
-            plant.advance(&tau, 1e-3);
-        }
-        plant.q
-    };
-    assert_eq!(run(1), run(1));
-    assert_ne!(run(1), run(2));
-}
-
 fn with(events: Events<6>) -> Plant<6> {
     let plant = Plant::new(&truth(), PlantConfig::default(), 1).expect("six joints");
     plant.with_events(events)

@@ -1,6 +1,6 @@
 //! The report template: one HTML file, nothing fetched; a script only shows values and zooms in plots.
 
-use super::plot::{Panel, PlotError, grid};
+use super::plot::{Panel, grid};
 use super::{PlotColor, escape, style_sheet, variables};
 use std::fmt::Display;
 
@@ -58,12 +58,12 @@ impl Page {
     /// The page as HTML.
     ///
     /// Errors: those of the plot library.
-    pub fn html(&self) -> Result<String, PlotError> {
+    pub fn html(&self) -> std::io::Result<String> {
         let cards = self.cards.iter().map(|(value, label)| {
             let (value, label) = (escape(value), escape(label));
             format!("<div class=\"card\"><b>{value}</b><span>{label}</span></div>\n")
         });
-        let sections: Result<String, PlotError> = self.sections.iter().map(Section::html).collect();
+        let sections: std::io::Result<String> = self.sections.iter().map(Section::html).collect();
         let sections = sections?;
         let script = match sections.contains("data-area") {
             true => format!("<script>\n{SCRIPT}</script>\n"),
@@ -143,12 +143,12 @@ impl Section {
         self
     }
 
-    fn html(&self) -> Result<String, PlotError> {
+    fn html(&self) -> std::io::Result<String> {
         let legend = self.legend.iter().map(|(color, name)| {
             let (variable, name) = (color.variable(), escape(name));
             format!("<span><i style=\"background:var({variable})\"></i>{name}</span>")
         });
-        let parts: Result<String, PlotError> = self.parts.iter().map(Part::html).collect();
+        let parts: std::io::Result<String> = self.parts.iter().map(Part::html).collect();
         Ok(format!(
             "<section><h2>{}</h2>\n<p>{}</p>\n<div class=\"legend\">{}</div>\n{}\n</section>\n",
             escape(&self.heading),
@@ -160,7 +160,7 @@ impl Section {
 }
 
 impl Part {
-    fn html(&self) -> Result<String, PlotError> {
+    fn html(&self) -> std::io::Result<String> {
         Ok(match self {
             Self::Plots(panels, columns) => grid(panels, *columns)?,
             Self::Command(line) => format!("<pre>{}</pre>\n", escape(line)),

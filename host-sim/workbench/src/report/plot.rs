@@ -6,23 +6,7 @@ use super::{escape, light, rgb};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use serde_json::json;
-
-/// Failure of the plot library.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("plot: {0}")]
-pub struct PlotError(String);
-
-impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PlotError {
-    fn from(error: DrawingAreaErrorKind<E>) -> Self {
-        Self(error.to_string())
-    }
-}
-
-impl From<PlotError> for std::io::Error {
-    fn from(error: PlotError) -> Self {
-        Self::other(error)
-    }
-}
+use std::io;
 
 /// A curve of a panel.
 #[derive(Clone, Debug, PartialEq)]
@@ -89,7 +73,7 @@ const BUCKETS: usize = 260;
 const FINE_BUCKETS: usize = 700;
 
 /// Panels of a page, one SVG each, in rows of at most `columns`, fewer in a narrow window.
-pub(super) fn grid(panels: &[Panel], columns: u32) -> Result<String, PlotError> {
+pub(super) fn grid(panels: &[Panel], columns: u32) -> io::Result<String> {
     let (width, height) = match columns {
         1 => (900, 280),
         2 => (560, 250),
@@ -122,7 +106,7 @@ pub fn picture(
     panels: &[Panel],
     columns: u32,
     (width, height): (u32, u32),
-) -> Result<String, PlotError> {
+) -> io::Result<String> {
     const HEAD: u32 = 64;
     let columns = columns.max(1);
     let rows = (panels.len() as u32).div_ceil(columns);
@@ -157,13 +141,13 @@ pub fn picture(
 }
 
 /// A panel, and the left, right, top and bottom of its plotting area.
-fn single(panel: &Panel, size: (u32, u32)) -> Result<(String, [i32; 4]), PlotError> {
+fn single(panel: &Panel, size: (u32, u32)) -> io::Result<(String, [i32; 4])> {
     let mut svg = String::new();
     let area;
     {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        area = draw(panel, &root)?;
-        root.present()?;
+        area = draw(panel, &root).map_err(io::Error::other)?;
+        root.present().map_err(io::Error::other)?;
     }
     // The page scales the drawing to its own width.
     let shown = format!("<svg width=\"{}\" height=\"{}\"", size.0, size.1);
@@ -173,7 +157,10 @@ fn single(panel: &Panel, size: (u32, u32)) -> Result<(String, [i32; 4]), PlotErr
     Ok((svg.replacen(&shown, &scaled, 1), area))
 }
 
-fn draw(panel: &Panel, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<[i32; 4], PlotError> {
+fn draw(
+    panel: &Panel,
+    area: &DrawingArea<SVGBackend<'_>, Shift>,
+) -> Result<[i32; 4], DrawingAreaErrorKind<io::Error>> {
     let text = rgb("--text");
     let font = |size: u32| ("sans-serif", size * FINE).into_font().color(&text);
     let ((x0, x1), (y0, y1)) = ranges(panel);
@@ -257,7 +244,8 @@ fn ranges(panel: &Panel) -> ((f64, f64), (f64, f64)) {
         y.0 = 0.0;
     }
     let widen = |(low, high): (f64, f64), share: f64| {
-        let margin = ((high - low) * share).max(1e-9);
+        // Of times of a clock, too, the next numbers are this far apart.
+        let margin = ((high - low) * share).max(1e-9 * low.abs().max(high.abs()).max(1.0));
         match low > high {
             true => (0.0, 1.0),
             false => (low - margin, high + margin),

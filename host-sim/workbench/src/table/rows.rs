@@ -88,6 +88,9 @@ impl<R: Read> Read for BoundedLines<R> {
     }
 }
 
+/// Bytes in which the header of a table is looked for.
+const BEGINNING: u64 = 1 << 18;
+
 /// Lines before a table that begin with `#` or are empty, the line behind these, and the bytes before that line.
 fn beginning(bytes: &[u8]) -> (Vec<String>, String, usize) {
     let (mut comments, mut length) = (Vec::new(), 0);
@@ -144,11 +147,15 @@ impl Rows {
         } else {
             Box::new(file)
         };
-        let bytes = BoundedLines { bytes, length: 0 };
-        let mut bytes: Box<dyn BufRead + Send> = Box::new(BufReader::with_capacity(1 << 18, bytes));
-        let start = bytes.fill_buf().map_err(|error| at(path, error))?;
-        let (comments, first, length) = beginning(start);
-        bytes.consume(length);
+        let mut bytes = BoundedLines { bytes, length: 0 };
+        // One read may end early: with a member of a compressed file, or with what a pipe holds.
+        let mut start = Vec::new();
+        let read = bytes.by_ref().take(BEGINNING).read_to_end(&mut start);
+        read.map_err(|error| at(path, error))?;
+        let (comments, first, length) = beginning(&start);
+        start.drain(..length);
+        let bytes = BufReader::with_capacity(1 << 18, bytes);
+        let bytes: Box<dyn BufRead + Send> = Box::new(io::Cursor::new(start).chain(bytes));
         let split_by = |line: &str, separator: u8| -> Vec<String> {
             let fields = line.split(char::from(separator));
             let fields = fields.map(|field| field.trim().trim_matches('"').to_owned());

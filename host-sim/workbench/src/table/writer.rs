@@ -257,14 +257,4 @@ mod tests {
             assert_eq!(found, [true, has_csv], "{name}");
         }
     }
-
-    #[test]
-    fn a_table_that_is_not_finished_does_not_appear() {
-        let directory = tempfile::tempdir().expect("creates");
-        let path = directory.path().join("half.csv");
-        let mut writer = TableWriter::create(&path, &["a".to_owned()]).expect("creates");
-        writer.row([1.0]).expect("writes");
-        drop(writer);
-        assert!(!path.exists());
-    }
 }

@@ -32,7 +32,7 @@ fn traffic(wiring: &Wiring<JOINTS>, period: u32) -> Ported {
             ..JointCommand::default()
         };
         frames.clear();
-        let _ = joint
+        joint
             .drive
             .command(&command, &mut Carry::default(), &mut frames);
         ported.extend(frames.iter().map(|frame| (0, *frame)));
@@ -255,7 +255,7 @@ impl Fault {
                     ..JointCommand::default()
                 };
                 let mut frames = Frames::new();
-                let _ = drives[1].command(&jump, &mut Carry::default(), &mut frames);
+                drives[1].command(&jump, &mut Carry::default(), &mut frames);
                 for (port, frame) in came {
                     if *port == 0 && command(&drives[1], frame).is_some() {
                         *frame = frames[0];

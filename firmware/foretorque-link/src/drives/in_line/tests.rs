@@ -24,7 +24,7 @@ fn arm() -> [DriveProfile; 3] {
 /// The frame of a motion command.
 fn sent(profile: &DriveProfile, command: &JointCommand) -> Frame {
     let mut frames = Frames::new();
-    let _ = profile.command(command, &mut Carry::default(), &mut frames);
+    profile.command(command, &mut Carry::default(), &mut frames);
     frames[0]
 }
 

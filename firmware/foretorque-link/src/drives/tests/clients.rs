@@ -77,7 +77,7 @@ fn commands_agree_with_the_clients() {
             let [p, v, torque, kp, kd] = value.map(|value| value as f32);
             let command = motion([p * client.unit, v * client.unit, torque, kp, kd]);
             let mut frames = Frames::new();
-            let _ = profile.command(&command, &mut Carry::default(), &mut frames);
+            profile.command(&command, &mut Carry::default(), &mut frames);
             let theirs = frame(id, &data);
             assert_eq!(frames[0].extended, theirs.extended);
             assert_eq!(frames[0].bytes().len(), data.len());

@@ -67,7 +67,7 @@ impl Bus {
         // The last joint is found after all others.
         let (command, mut carry) = (JointCommand::default(), Carry::default());
         frames.clear();
-        let _ = joint(6).drive.command(&command, &mut carry, &mut frames);
+        joint(6).drive.command(&command, &mut carry, &mut frames);
         let mut in_line = InLine::new(joints.map(|joint| Some(joint.drive)), u32::MAX);
         in_line.set(&[1.0; JOINTS], 0);
         let bus = place.write(Self {

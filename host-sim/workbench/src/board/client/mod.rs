@@ -106,7 +106,7 @@ impl<const N: usize> Client<N> {
             bytes: Vec::new(),
             next: 0,
             timeout: Duration::from_secs(2),
-            hello: no_hello(),
+            hello: BoardHello::default(),
             safety: SafetyStatus::default(),
             presented: None,
             telemetry: Vec::new(),
@@ -303,25 +303,5 @@ fn refused<const N: usize>(answer: BoardMessage<N>) -> BoardError {
     match answer {
         BoardMessage::Nack(reason) => BoardError::Refused(reason),
         _ => BoardError::UnexpectedAnswer,
-    }
-}
-
-/// Stands where the board's hello will stand.
-fn no_hello() -> BoardHello {
-    use foretorque_link::wire::{Capabilities, ChipStatus, CounterKind, Name, ResetReason};
-    BoardHello {
-        arm_hash: 0,
-        arm: Name::new(),
-        joints: 0,
-        base_columns: 0,
-        firmware: Name::new(),
-        capabilities: Capabilities::default(),
-        counter: CounterKind::None,
-        counter_hz: 0,
-        configuration: Configuration::default(),
-        reset_reason: ResetReason::Unknown,
-        safety: SafetyStatus::default(),
-        boot_counts: 0,
-        chip: ChipStatus::VIRTUAL,
     }
 }

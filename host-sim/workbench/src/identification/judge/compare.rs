@@ -9,31 +9,25 @@ use crate::identification::columns::SIGN_WIDTH_RAD_S;
 use crate::identification::numbers;
 use crate::robot::Robot;
 
-/// Reasons that need more than the torques: fits of the judge.
-pub(super) struct Fits<'a> {
-    /// Fall of the logarithm of what free parameters leave, by a clock of another rate.
-    pub(super) fitted: &'a dyn Fn(f64) -> f64,
-    /// Finding of a body at the flange.
-    pub(super) payload: &'a dyn Fn() -> Option<String>,
-}
-
 /// Compares the torques with those of the description. The first finding that refuses is the last.
 ///
 /// * `gain` of the filter on the noise
+/// * `fitted` fall of the logarithm of what free parameters leave, by a clock of another rate
+/// * `payload` finding of a body at the flange
 pub(super) fn compare(
     judgement: &mut Judgement,
     robot: &Robot,
     rows: &[(Motion, PerJoint<f64>)],
     extremes: &[Extremes],
     gain: f64,
-    fits: &Fits<'_>,
+    (fitted, payload): (&dyn Fn(f64) -> f64, &dyn Fn() -> Option<String>),
 ) {
     let compared = Comparison::new(robot, rows, extremes);
     let joints = 0..extremes.len();
     let checks = joints.map(|joint| compared.check(joint, gain));
     judgement.joints.extend(checks);
     let reading = compared.unsigned().or_else(|| compared.all_noise());
-    let reading = reading.or_else(|| other_reading(&compared.bare, rows, extremes, fits.fitted));
+    let reading = reading.or_else(|| other_reading(&compared.bare, rows, extremes, fitted));
     if let Some(text) = reading {
         judgement.find(true, text);
         return;
@@ -51,7 +45,7 @@ pub(super) fn compare(
             return;
         }
     }
-    if let Some(text) = compared.gravity(fits.payload) {
+    if let Some(text) = compared.gravity(payload) {
         judgement.find(true, text);
     }
     if compared.heavy().next().is_none() {
@@ -375,11 +369,14 @@ mod tests {
                 (state, tau)
             });
             let rows: Vec<_> = rows.collect();
-            let fits = Fits {
-                fitted: &|_| 0.0,
-                payload: &|| None,
-            };
-            compare(&mut judgement, &robot, &rows, &seen, 1.0, &fits);
+            compare(
+                &mut judgement,
+                &robot,
+                &rows,
+                &seen,
+                1.0,
+                (&|_| 0.0, &|| None),
+            );
             judgement.findings
         };
         assert_eq!(judged(0.0, 0.0), []);

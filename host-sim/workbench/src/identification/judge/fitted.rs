@@ -37,7 +37,7 @@ pub(in crate::identification) fn after_fit(
     rows: &[SampleRow],
 ) -> bool {
     let free = with_tilt(robot, layout, fit, rows);
-    let tilt = free.as_ref().and_then(|(_, tilt)| tilt.finding());
+    let tilt = free.as_ref().and_then(|(_, tilt)| tilt.clone());
     let is_tilted = tilt.is_some();
     if let Some(text) = tilt {
         judgement.find(false, text);
@@ -166,31 +166,6 @@ pub(in crate::identification) fn change(
     })
 }
 
-/// Direction of gravity in the base that a fit has and the description has not.
-#[derive(Debug)]
-pub(super) struct Tilt {
-    /// Angle to the described gravity and its standard deviation, rad.
-    angle: f64,
-    deviation: f64,
-    gravity: Vector3<f64>,
-}
-
-impl Tilt {
-    fn finding(&self) -> Option<String> {
-        let certain = self.angle > DEVIATIONS * self.deviation;
-        let [x, y, z] = self
-            .gravity
-            .map(|g| (100.0 * g).round() / 100.0 + 0.0)
-            .into();
-        certain.then(|| {
-            format!(
-                "the base is tilted by {:.3} ± {:.3} rad against the described gravity: set gravity_m_s2 = [{x:.2}, {y:.2}, {z:.2}] in the description, or level the base",
-                self.angle, self.deviation
-            )
-        })
-    }
-}
-
 /// Gravity along two axes across the described one, m/s², of its size, and the arm under it.
 pub(super) fn across(robot: &Robot) -> [(Vector3<f64>, RigidBodies); 2] {
     let (down, size) = (robot.gravity, robot.gravity.norm());
@@ -203,13 +178,18 @@ pub(super) fn across(robot: &Robot) -> [(Vector3<f64>, RigidBodies); 2] {
     })
 }
 
-/// Weighted least squares with the direction of gravity as two parameters more, and the tilt that they give; `None` where the
+/// Weighted least squares with the direction of gravity as two parameters more, and the finding of a tilt that is certain; `None` where the
 /// parameters of the arm explain all that a tilt does.
 ///
 /// ```text
 /// tau = Y theta + t_1 G_1 + t_2 G_2    G_k = torque of the description under gravity along axis k across the described one
 /// ```
-fn with_tilt(robot: &Robot, layout: &Layout, fit: &Fit, rows: &[SampleRow]) -> Option<(Fit, Tilt)> {
+fn with_tilt(
+    robot: &Robot,
+    layout: &Layout,
+    fit: &Fit,
+    rows: &[SampleRow],
+) -> Option<(Fit, Option<String>)> {
     let size = layout.parameters.len();
     let across = across(robot);
     let mut gram = DMatrix::zeros(size + 2, size + 2);
@@ -240,11 +220,14 @@ fn with_tilt(robot: &Robot, layout: &Layout, fit: &Fit, rows: &[SampleRow]) -> O
         covariance: covariance.view((0, 0), (size, size)).into_owned(),
         ..fit.clone()
     };
-    let tilt = Tilt {
-        angle,
-        deviation: ANALYTIC * spread.symmetric_eigenvalues().max().sqrt(),
-        gravity: gravity * (robot.gravity.norm() / gravity.norm()),
-    };
+    let deviation = ANALYTIC * spread.symmetric_eigenvalues().max().sqrt();
+    let gravity = gravity * (robot.gravity.norm() / gravity.norm());
+    let [x, y, z] = gravity.map(|g| (100.0 * g).round() / 100.0 + 0.0).into();
+    let tilt = (angle > DEVIATIONS * deviation).then(|| {
+        format!(
+            "the base is tilted by {angle:.3} ± {deviation:.3} rad against the described gravity: set gravity_m_s2 = [{x:.2}, {y:.2}, {z:.2}] in the description, or level the base"
+        )
+    });
     Some((free, tilt))
 }
 

@@ -23,7 +23,7 @@ use super::stream::for_each_prepared;
 use super::{IdentifyError, listed};
 use crate::dynamics::{Motion, PerJoint};
 use crate::robot::{LINK_PARAMETERS, Robot};
-use compare::{Fits, compare};
+use compare::compare;
 use delay::{Delay, delay, fast_rows};
 use fitted::{across, payload};
 use nalgebra::DMatrix;
@@ -219,7 +219,7 @@ pub fn judge(
                     let turned = across.each_ref();
                     let turned = turned.map(|(_, model)| model.gravity_torques(&state.q));
                     for joint in 0..joints {
-                        let x = prepared.columns(&layout, row, joint);
+                        let x = layout.columns(joint, &prepared.panel[row * layout.width..]);
                         let qd = state.qd[joint];
                         if qd.abs() > own.still_rad_s {
                             sums.joints[joint].add(x, &[tau[joint]]);
@@ -254,11 +254,8 @@ pub fn judge(
         let flange = payload(robot, &layout, &wls(&sums, &layout).ok()?)?;
         flange.is_most().then(|| flange.finding())
     };
-    let fits = Fits {
-        fitted: &fitted,
-        payload: &payload,
-    };
-    compare(&mut judgement, robot, &sample.kept, &extremes, gain, &fits);
+    let fits = (&fitted as &_, &payload as &_);
+    compare(&mut judgement, robot, &sample.kept, &extremes, gain, fits);
     if !judgement.refuses() {
         delay(&mut judgement, &layout, &delays, period_s);
     }

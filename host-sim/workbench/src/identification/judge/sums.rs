@@ -293,10 +293,6 @@ pub(super) fn scan(
             let rough = extremes.iter_mut().flat_map(|sums| &mut sums.rough);
             rough.for_each(Roughness::pause);
         }
-        let speed = |joint: usize| match &last[..] {
-            [a, _] => (row.q[joint] - a.q[joint]) / (row.t_s - a.t_s),
-            _ => 0.0,
-        };
         // A flickering encoder is fast from row to row only.
         while recent
             .get(1)
@@ -321,7 +317,7 @@ pub(super) fn scan(
             sums.rough[0].add(q);
             let scatter = sums.rough[1].add(tau);
             if let [a, b] = &last[..] {
-                let qd = speed(joint);
+                let qd = (q - a.q[joint]) / (row.t_s - a.t_s);
                 let fast = sums.held.rate(q, row.t_s, row.t_s - a.t_s).unwrap_or(qd);
                 if fast.abs() > sums.speed {
                     (sums.speed, sums.fastest_s) = (fast.abs(), b.t_s);

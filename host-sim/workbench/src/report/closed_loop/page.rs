@@ -13,13 +13,13 @@ pub fn page<const N: usize>(
     let robot = report.run.robot.to_uppercase();
     let lead = format!(
         "A simulated {robot} under PD control plays its trajectory for {:.1} s with the feed-forward of board {} added, \
-         learning {}. All figures count every tick; the plots draw every {}.",
+         learning {}. All figures count every tick; the plots draw {}.",
         report.ticks as f64 * report.run.period_s,
         report.run.board,
         if report.run.learning { "on" } else { "off" },
         match log.every {
-            1 => "tick".to_owned(),
-            every => format!("{every}th tick"),
+            1 => "each of them".to_owned(),
+            every => format!("one of {every}"),
         }
     );
     let trouble = match report.troubles.as_slice() {
