@@ -60,7 +60,8 @@ pub struct Statistics {
     pub receive_cost: Cost,
     /// Hottest motor by the temperatures known last, °C; -128 is unknown.
     pub hottest_c: i8,
-    /// Time from the end of a frame until its reply is queued or held for the learner, in counts of the board's counter.
+    /// Time from the end of the last frame received until a reply is queued, in counts of the board's counter: where more frames
+    /// have come behind the one that is answered, its reply took longer.
     pub reply_latency: Cost,
     /// Samples of which a part was implausible.
     #[serde(with = "postcard::fixint::le")]

@@ -120,7 +120,7 @@ pub struct ExcitationProgram<const N: usize> {
     /// The series, joint by joint.
     #[serde(with = "crate::wire::array")]
     pub joints: [JointSeries; N],
-    /// Certified bounds of the motion, joint by joint; leaving them aborts the excitation.
+    /// Certified bounds of the motion, joint by joint: those of its approach and its stop. The arm's own limits abort it.
     #[serde(with = "crate::wire::array")]
     pub certificate: [MotionBounds; N],
 }

@@ -26,7 +26,8 @@ pub struct EncoderConfig {
     pub direction: Direction,
     /// Turns of the encoder per turn of the joint: 1 on the link side, the gear ratio on the motor's shaft.
     pub ratio: f32,
-    /// Largest plausible change between two readings, counts; below half a turn, beyond which the direction is ambiguous.
+    /// Largest plausible change from one reading to the next, counts; below half a turn, beyond which the direction is ambiguous.
+    /// A turn stays known over as many missed readings as fit half a turn with it.
     pub largest_step: u16,
 }
 
@@ -150,7 +151,7 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         // The shorter direction, from −half a turn to half a turn.
         let apart = within.wrapping_sub(last).wrapping_add(TURN / 2);
         let step = (apart & (TURN - 1)) - TURN / 2;
-        if step.abs() > i32::from(self.config.largest_step) {
+        if step.unsigned_abs() > self.reach() {
             self.position = None;
             return Err(EncoderError::Jump);
         }
@@ -160,14 +161,19 @@ impl<Spi: SpiDevice> AbsoluteEncoder<Spi> {
         Ok(self.rad(position))
     }
 
-    /// Takes readings that were left out. The count of turns continues if the joint has moved less than `largest_step` at the
-    /// next good one; the turn is unknown once the joint, at that step in each, can look like that a turn further.
+    /// Takes readings that were left out. The count of turns continues if the joint has moved by at most `largest_step` in each;
+    /// the turn is unknown once that is half a turn.
     pub fn miss(&mut self, readings: u32) {
         self.missed = self.missed.saturating_add(readings);
-        let steps = self.missed.saturating_add(2);
-        if steps.saturating_mul(u32::from(self.config.largest_step)) >= TURN as u32 {
+        if self.reach() >= TURN as u32 / 2 {
             self.position = None;
         }
+    }
+
+    /// Largest plausible change since the last good reading, counts.
+    fn reach(&self) -> u32 {
+        let readings = self.missed.saturating_add(1);
+        readings.saturating_mul(self.config.largest_step.into())
     }
 
     /// The turn is known.

@@ -87,8 +87,9 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 // A host that begins anew inherits no torque and no motion.
                 controller.safety.disarm();
                 controller.stop_motion();
-                // The next gap counts as a long one.
+                // The next gap counts as a long one, and no reply has the number of another host's sample.
                 controller.gaps.interrupt();
+                controller.last_sequence = 0;
                 return Ok(Some(self.hello()));
             }
             // A tick; `receive` runs it.
@@ -110,8 +111,6 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 if on {
                     board.require(Capabilities::LEARNING)?;
                     parameters.undisturbed()?;
-                    // An upload is refused while learning: half of one must not wait until learning ends.
-                    parameters.transfer.abort();
                 }
                 controller.feed_forward.set_learning(on);
             }
@@ -211,6 +210,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
                 protocol.unlock(key, A::hash(), order, &mac)?;
             }
             HostMessage::Reboot => {
+                parameters.undisturbed()?;
                 controller.at_rest()?;
                 interruptible()?;
                 board.require(Capabilities::REBOOT)?;

@@ -203,7 +203,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize, C: Clock> Session<A, N, P, C>
         self.protocol.counters.watchdog_feeds = feeds;
     }
 
-    /// Takes the counts from the first instructions to the first hello.
+    /// Takes the counts from the start of the counter to the first hello.
     pub fn note_boot(&mut self, counts: u32) {
         self.boot_counts = counts;
     }

@@ -108,18 +108,23 @@ impl<const N: usize> SampleFrame<N> {
         self
     }
 
-    /// The sample in the units of the tick. With an effort at the end of its range nothing counts as measured.
+    /// The sample in the units of the tick. With a measured position or effort at the end of its range, beyond which values
+    /// saturate, nothing counts as measured.
     ///
     /// * `gains` drive gains, N × N·m/A; where a required one is not positive, nothing counts as measured, either
     pub fn sample(&self, gains: &[f32; N]) -> JointSample<N> {
         let current = self.flags.contains(SampleFlags::CURRENT);
         let known = !current || gains.iter().all(|&gain| gain > 0.0);
         let effort = decoded(&self.effort, Effort::decode);
-        let saturated = |effort: &f32| effort.abs() >= Effort::MAX;
-        let known = known && !black_box(effort.as_slice()).iter().any(saturated);
+        let q = decoded(&self.q, Position::decode);
+        let within = |values: &JointVector<N>, most: f32| {
+            let values = black_box(values.as_slice());
+            !values.iter().any(|value| value.abs() >= most)
+        };
+        let known = known && within(&effort, Effort::MAX) && within(&q, Position::MAX);
         let measured =
             (self.flags.contains(SampleFlags::MEASURED) && known).then(|| JointMeasurement {
-                q: decoded(&self.q, Position::decode),
+                q,
                 tau: if current {
                     effort.component_mul(&JointVector::from(*gains))
                 } else {

@@ -210,7 +210,7 @@ pub struct BoardHello {
     pub reset_reason: ResetReason,
     /// Safety state and reason, a fault kept over the reset included.
     pub safety: SafetyStatus,
-    /// Counts from the first instructions to the first hello; 0 without a counter.
+    /// Counts from the start of the counter, behind those of the clocks, to the first hello; 0 without a counter.
     #[serde(with = "postcard::fixint::le")]
     pub boot_counts: u32,
     /// Clock, option bytes and program.
@@ -218,7 +218,7 @@ pub struct BoardHello {
 }
 
 impl BoardHello {
-    /// Time from the first instructions to the first hello, µs; `None` where the counter gives no time.
+    /// Time from the start of the counter to the first hello, µs; `None` where the counter gives no time.
     pub fn boot_us(&self) -> Option<u32> {
         let counts = u64::from(self.boot_counts) * 1_000_000;
         let time = counts.checked_div(u64::from(self.counter_hz))?;

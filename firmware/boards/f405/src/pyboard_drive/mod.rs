@@ -31,6 +31,7 @@ use peripherals::{DirectionPin, EncoderDevice, FaultInput, Pulse, StageEnable};
 
 /// The joint that this board drives, from 0: the shoulder lift.
 const JOINT: usize = 1;
+const _: () = assert!(JOINT < JOINTS);
 
 /// From torque to pulse width. The gain is also that of the bank if currents are measured.
 const SCALE: TorqueScale = TorqueScale {
@@ -63,13 +64,13 @@ const SELECT_CYCLES: u32 = 64;
 /// Reads of the ready flag before a byte is given up. A byte takes 256 cycles, a read at least three.
 const ENCODER_POLLS: u32 = 200;
 
-/// Zero, sign and ratio of the encoder: on the link, counting with +q. A thousand counts between two readings are 0.38 rad,
-/// more than the joint can move in the 50 ms that readings may fail.
+/// Zero, sign and ratio of the encoder: on the link, counting with +q. 160 counts from a reading to the next are 0.061 rad, more
+/// than the joint can move in 19 ms; at 1 kHz half a turn is as much as 51 readings, so that 50 may fail.
 const ENCODER: EncoderConfig = EncoderConfig {
     zero_counts: 0,
     direction: Direction::Same,
     ratio: 1.0,
-    largest_step: 1000,
+    largest_step: 160,
 };
 /// One turn of the encoder is one of the joint: at start it is taken to be within ± π.
 const TURN: TurnReference = TurnReference::Near(0.0);
@@ -183,10 +184,8 @@ impl Drive for StageAndEncoder {
         if let Some(error) = seen.stage.filter(|_| seen.stage != logged.stage) {
             defmt::error!("stage: {=istr}", error.interned());
         }
-        match seen.encoder {
-            error if error == logged.encoder => {}
-            Some(error) => defmt::warn!("encoder: {=istr}", error.interned()),
-            None => defmt::info!("encoder: a position"),
+        if let Some(error) = seen.encoder.filter(|_| seen.encoder != logged.encoder) {
+            defmt::warn!("encoder: {=istr}", error.interned());
         }
     }
 }

@@ -136,8 +136,12 @@ fn a_line_without_a_chip_gives_no_position() {
         (0x0000, EncoderError::NotReady),
         (0xffff, EncoderError::Flagged),
     ] {
-        // At the position of the level, where no jump shows the error.
-        let mut encoder = encoder(CONFIG, level & VALUE, 0.0);
+        // At the position of the level, where no jump shows the error; the turn stays known for as long.
+        let config = EncoderConfig {
+            largest_step: 500,
+            ..CONFIG
+        };
+        let mut encoder = encoder(config, level & VALUE, 0.0);
         encoder.spi.level = Some(level);
         assert_eq!(encoder.position(), Err(error));
         for _ in 0..3 {
@@ -146,6 +150,20 @@ fn a_line_without_a_chip_gives_no_position() {
         encoder.spi.level = None;
         let back = (0..4).find_map(|_| encoder.position().ok());
         assert!(back.is_some(), "{level:#x}");
+    }
+}
+
+#[test]
+fn the_turn_is_known_until_the_joint_may_be_half_a_turn_away() {
+    let config = EncoderConfig {
+        largest_step: 160,
+        ..CONFIG
+    };
+    for (missed, moves, known) in [(49, 7800, true), (49, 8100, false), (51, 0, false)] {
+        let mut encoder = encoder(config, 100, 0.0);
+        encoder.miss(missed);
+        let position = moved(&mut encoder, 100 + moves);
+        assert_eq!(position.is_ok(), known, "{missed} {moves}: {position:?}");
     }
 }
 

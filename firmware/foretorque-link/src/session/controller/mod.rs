@@ -94,7 +94,7 @@ pub(super) struct Controller<A: Arm<N, P>, const N: usize, const P: usize> {
     /// The torque flowed after the last tick.
     flowed: bool,
     pub(super) gaps: SampleGaps,
-    last_sequence: u16,
+    pub(super) last_sequence: u16,
     pub(super) temperatures_c: [i8; N],
     pub(super) counters: TickCounters,
 }
@@ -277,11 +277,10 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         {
             sample.measured = None;
         }
-        let flows = self.safety.brake_released();
-        if self.flowed && !flows {
+        if self.flowed && !self.safety.brake_released() {
+            self.flowed = false;
             self.stop_motion();
         }
-        self.flowed = flows;
         let held = sensor.holds();
         if held && self.safety.at_rest() {
             // A motion that waits for drives does not wait for the next arming.
@@ -298,6 +297,7 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         self.desired = sample.map(|sample| sample.desired);
         let start = clock.now();
         let torque = self.safety.step(&mut self.feed_forward, sample.as_ref());
+        self.flowed |= self.safety.brake_released();
         let cost = clock.now().wrapping_sub(start);
         self.counters.cost.note(cost);
         self.counters.ticks = self.counters.ticks.wrapping_add(1);

@@ -186,10 +186,12 @@ impl<A: Arm<N, P>, const N: usize, const P: usize> Controller<A, N, P> {
         &mut self,
         command: ExcitationCommand,
     ) -> Result<ExcitationState, NackReason> {
-        // A torque that ended without a tick does not end a motion that is started after it.
-        self.flowed = self.safety.brake_released();
         let player = &mut self.player;
         player.command(command).map_err(NackReason::Excitation)?;
+        if command == ExcitationCommand::Start {
+            // A torque that ended without a tick ends no motion that is started after it.
+            self.flowed = self.safety.brake_released();
+        }
         Ok(player.state())
     }
 

@@ -207,10 +207,6 @@ impl Transfer {
         }
     }
 
-    pub(super) fn abort(&mut self) {
-        self.direction = Direction::Idle;
-    }
-
     /// Takes the next chunk of an upload. Offset 0 begins anew. A host whose acknowledgement was lost
     /// may send the last chunk again; an earlier one drops those behind it.
     pub(super) fn write(&mut self, offset: u16, chunk: &[u8]) -> Result<(), NackReason> {

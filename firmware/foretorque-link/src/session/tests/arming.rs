@@ -74,7 +74,8 @@ fn playing(armed: bool) -> (Board, HostMessage<N>) {
 
 #[test]
 fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
-    use HostMessage::{Disarm, Hello, Stop};
+    use ExcitationCommand::{Release, Status};
+    use HostMessage::{Arm, Disarm, Hello, Stop};
     let state = |board: &Board| board.session.controller.player.state();
     for (armed, end) in [
         (true, Stop),
@@ -83,12 +84,16 @@ fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
         (false, Stop),
         (false, Hello),
     ] {
-        let (mut board, sample) = playing(armed);
-        board.send(&end);
-        (0..2).for_each(|_| _ = board.send(&sample));
-        assert_eq!(state(&board), ExcitationState::Stopping, "{armed} {end:?}");
-        (0..2000).for_each(|_| _ = board.send(&sample));
-        assert_eq!(state(&board), ExcitationState::Holding, "{armed} {end:?}");
+        // Orders to the player that change nothing come between.
+        for asks in [None, Some(Status), Some(Release)] {
+            let (mut board, sample) = playing(armed);
+            board.send(&end);
+            asks.map(|asks| board.request(HostMessage::Excitation(asks)));
+            (0..2).for_each(|_| _ = board.send(&sample));
+            assert_eq!(state(&board), ExcitationState::Stopping, "{armed} {end:?}");
+            (0..2000).for_each(|_| _ = board.send(&sample));
+            assert_eq!(state(&board), ExcitationState::Holding, "{armed} {end:?}");
+        }
     }
     // A disarmed board has no torque to end, and a fault of a drive ends that of an armed one.
     let (mut board, sample) = playing(false);
@@ -97,6 +102,14 @@ fn what_ends_the_torque_lets_a_played_motion_come_to_rest() {
     assert_eq!(state(&board), ExcitationState::Playing);
     let (mut board, sample) = playing(true);
     board.session.torque_off(SafetyReason::Drive);
+    board.request(HostMessage::Excitation(Status));
+    (0..2).for_each(|_| _ = board.send(&sample));
+    assert_eq!(state(&board), ExcitationState::Stopping);
+    // Torque that flowed for one tick has ended, too.
+    let (mut board, sample) = playing(false);
+    board.acknowledged(Arm);
+    board.send(&sample);
+    board.acknowledged(Disarm);
     (0..2).for_each(|_| _ = board.send(&sample));
     assert_eq!(state(&board), ExcitationState::Stopping);
 }

@@ -171,6 +171,7 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
         HostMessage::Learning { on: true },
         HostMessage::Configure(Configuration::default()),
         HostMessage::Reset,
+        HostMessage::Reboot,
         HostMessage::Restore,
         write(&uploaded(), 0),
     ] {
@@ -188,7 +189,7 @@ fn m5_while_an_order_is_executed_nothing_disturbs_it_and_a_read_disturbs_nothing
     board.sample(0);
     assert!(matches!(
         finished(&mut board)[..],
-        [(16, BoardMessage::BankChunk { offset: 0, .. })]
+        [(17, BoardMessage::BankChunk { offset: 0, .. })]
     ));
 }
 

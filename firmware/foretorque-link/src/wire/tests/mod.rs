@@ -39,7 +39,7 @@ fn receive<M: DeserializeOwned>(bytes: &[u8]) -> (Vec<(u16, M)>, Vec<DecodeError
 }
 
 #[test]
-fn an_effort_at_the_end_of_its_range_or_a_current_without_a_gain_is_no_measurement() {
+fn a_value_at_the_end_of_its_range_or_a_current_without_a_gain_is_no_measurement() {
     let frame = SampleFrame::new(&JointSample {
         desired: JointMotion::zero(),
         measured: Some(JointMeasurement {
@@ -63,6 +63,14 @@ fn an_effort_at_the_end_of_its_range_or_a_current_without_a_gain_is_no_measureme
         let doubled = JointVector::repeat(2.0 * effort);
         assert_eq!(tau(2.0), measured.then_some(doubled));
         assert_eq!(tau(0.0), None);
+    }
+    // A position beyond the range is sent as the end of it.
+    for (q, measured) in [(Position::MAX - Position::RESOLUTION, true), (9.0, false)] {
+        let mut frame = frame;
+        frame.q[2] = Position::encode(q);
+        assert_eq!(frame.sample(&[0.0; N]).measured.is_some(), measured, "{q}");
+        frame.q[2] = Position::encode(-q);
+        assert_eq!(frame.sample(&[0.0; N]).measured.is_some(), measured, "{q}");
     }
 }
 
