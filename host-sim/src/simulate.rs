@@ -64,8 +64,9 @@ pub(super) struct MotionArguments {
 
 pub(super) const PERIOD_S: f64 = 1e-3;
 
-/// Largest bandwidth of the PD controller, Hz: a tenth of the ticks in a second. A faster loop shakes the arm.
-const MOST_BANDWIDTH_HZ: f64 = 100.0;
+/// Largest bandwidth of the PD controller, Hz: half of that of its speed filter. A faster loop shakes the arm where its inertia is a
+/// third of the mean one.
+const MOST_BANDWIDTH_HZ: f64 = 30.0;
 
 fn bandwidth(text: &str) -> Result<f64, String> {
     at_most(text, MOST_BANDWIDTH_HZ)

@@ -75,6 +75,31 @@ fn a_recount_sees_what_breaks_a_limit() {
 }
 
 #[test]
+fn where_no_path_keeps_the_condition_number_the_error_is_least_and_the_limits_hold() {
+    let mut slow = ur5();
+    let joints = slow.joints.iter_mut();
+    joints.for_each(|joint| joint.limits.velocity = 0.6);
+    let config = SearchConfig {
+        condition_limit: 60.0,
+        condition_required: false,
+        ..short(1)
+    };
+    let plain = SearchConfig {
+        criterion: Criterion::VOptimal,
+        ..config.clone()
+    };
+    let [constrained, plain] = [config, plain].map(|config| found(&slow, &config));
+    let error = |found: &Excitation| certificate(found).predicted_nrmse_percent;
+    assert!(
+        error(&constrained) <= 1.01 * error(&plain),
+        "{}",
+        error(&constrained)
+    );
+    let counted = recount(&slow, &constrained, PI, 20_011).expect("certified");
+    assert_eq!(counted.violations, 0);
+}
+
+#[test]
 fn the_number_of_threads_changes_nothing() {
     let robot = ur5();
     let on = |threads| {

@@ -1,6 +1,6 @@
 //! Base parameters: the identifiable combinations of the standard parameters.
 
-use super::{RigidBodies, random_motions};
+use super::RigidBodies;
 use crate::robot::{LINK_PARAMETERS, Robot};
 use nalgebra::{DMatrix, DVector};
 
@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 pub const STATES: usize = 44;
 
 /// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Independent
-/// columns leave above 0.5, dependent ones about 1e-15, or 1e-6 to 1e-2 where calibrated angles, a few mrad off a right
+/// columns leave above 0.5 where all axes are at right angles or parallel, and about sin ε where one is ε off; dependent ones about 1e-15, or 1e-6 to 1e-2 where calibrated angles, a few mrad off a right
 /// angle, take the place of exact ones: no log shows such a column, and to merge it costs less than this share of its
 /// torque.
 const INDEPENDENT: f64 = 1e-2;
@@ -123,7 +123,7 @@ impl Robot {
 fn stacked_regressor(bodies: &RigidBodies) -> DMatrix<f64> {
     let joints = bodies.joints();
     let mut w = DMatrix::zeros(STATES * joints, (LINK_PARAMETERS + 1) * joints);
-    for (k, motion) in random_motions(joints, STATES).iter().enumerate() {
+    for (k, motion) in bodies.random_motions(STATES).iter().enumerate() {
         bodies.regressor_into(motion, &mut w, k * joints);
     }
     w

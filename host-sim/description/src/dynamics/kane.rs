@@ -97,10 +97,23 @@ impl RigidBodies {
         self.largest(|motion| self.inverse_dynamics(motion))
     }
 
+    /// [`random_motions`] of the joints, as motions of the drives.
+    pub fn random_motions(&self, count: usize) -> Vec<Motion> {
+        let mut motions = random_motions(self.joints(), count);
+        if let Some(coupling) = &self.coupling {
+            for motion in &mut motions {
+                coupling.to_drives(&mut motion.q);
+                coupling.to_drives(&mut motion.qd);
+                coupling.to_drives(&mut motion.qdd);
+            }
+        }
+        motions
+    }
+
     fn largest(&self, torques: impl Fn(&Motion) -> PerJoint<f64>) -> PerJoint<f64> {
         const MOTIONS: usize = 64;
         let mut largest = PerJoint::repeat(self.joints(), 0.0_f64);
-        for motion in random_motions(self.joints(), MOTIONS) {
+        for motion in self.random_motions(MOTIONS) {
             for (largest, torque) in largest.iter_mut().zip(torques(&motion).iter()) {
                 *largest = largest.max(torque.abs());
             }

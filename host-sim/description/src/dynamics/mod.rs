@@ -144,13 +144,17 @@ mod tests {
 
     /// A UR5 whose two last drives turn both wrist joints.
     fn coupled() -> Robot {
+        coupled_by("[[1, 0.5], [-1, 1]]")
+    }
+
+    fn coupled_by(matrix: &str) -> Robot {
         let limits = "limits = { position_rad = [-2, 2], velocity_rad_s = 2, torque_nm = 20 }";
         let overlay = format!(
             "from = 'ur5'
             joints = [{{ name = 'wrist_2', {limits} }}, {{ name = 'wrist_3', {limits} }}]
             [coupling]
             joints = ['wrist_2', 'wrist_3']
-            matrix = [[1, 0.5], [-1, 1]]"
+            matrix = {matrix}"
         );
         Robot::parse("coupled", &overlay).unwrap()
     }
@@ -162,6 +166,13 @@ mod tests {
             qd: draw(std::f64::consts::PI),
             qdd: draw(10.0),
         }
+    }
+
+    #[test]
+    fn gear_ratios_in_a_coupling_lose_no_base_parameter() {
+        let columns = |matrix| coupled_by(matrix).base_map().columns;
+        let unit = columns("[[1, 1], [1, -1]]");
+        assert_eq!(columns("[[100, 100], [100, -100]]"), unit);
     }
 
     #[test]

@@ -266,6 +266,7 @@ fn read(
     }
     let own = tables.into_inner();
     let gives_gravity = own.contains_key("gravity_m_s2");
+    let gives_coupling = own.contains_key("coupling");
     put(whole.get_mut(), own);
     let mut robot = file::read(path, text, whole)?;
     for (index, (joint, before)) in robot
@@ -279,7 +280,8 @@ fn read(
         let fields = given[index].as_deref().unwrap_or_default();
         let mut needs = ["position_rad", "velocity_rad_s", "torque_nm"].iter();
         let limited = needs.all(|need| fields.iter().any(|field| field == need));
-        if robot.coupling.as_ref().is_some_and(couples) && !limited {
+        // A description that has the coupling already has the limits of its drives.
+        if gives_coupling && robot.coupling.as_ref().is_some_and(couples) && !limited {
             let name = &joint.name;
             let problem = format!(
                 "joint '{name}' needs limits of its drive: limits = {{ position_rad, velocity_rad_s, torque_nm }}"

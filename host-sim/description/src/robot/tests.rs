@@ -129,6 +129,20 @@ fn an_overlay_completes_the_file_beside_it() {
     assert_eq!(changed.joints[0].drive, same.joints[0].drive);
     assert_eq!(changed.joints[1].limits, same.joints[1].limits);
 
+    // A description with coupled drives has their limits.
+    let limits = "limits = { position_rad = [-2, 2], velocity_rad_s = 2, torque_nm = 20 }";
+    let names = ["panda_joint2", "panda_joint3"];
+    let [two, three] = names.map(|name| format!("[[joints]]\nname = '{name}'\n{limits}\n"));
+    let coupling =
+        "[coupling]\njoints = ['panda_joint2', 'panda_joint3']\nmatrix = [[1, 1], [1, -1]]";
+    let coupled = overlay(&format!("{two}{three}{coupling}")).unwrap();
+    std::fs::write(here.join("coupled.toml"), coupled.to_toml().unwrap()).unwrap();
+    let more = format!("from = 'coupled.toml'\n{joint}drive = {{ rotor_inertia_kg_m2 = 0.7 }}");
+    let again = Robot::parse(&file, &more).unwrap();
+    assert_eq!(again.joints[1].drive.rotor_inertia, 0.7);
+    assert_eq!(again.joints[1].limits, coupled.joints[1].limits);
+    assert_eq!(again.coupling, coupled.coupling);
+
     // Lines after the first, `/` between them, and the message.
     let cases = "
         [[joints]] / name = 'elbow' | joints[0].name: 'elbow' is not one of panda_joint1,

@@ -19,8 +19,8 @@ pub(super) const INSTANTS: usize = 250;
 const SIGN_WIDTH_RAD_S: f64 = 0.05;
 /// A clearance missed by this much weighs like a limit exceeded by its own size, m.
 const CLEARANCE_SCALE_M: f64 = 0.1;
-/// Figure of a path on which parameters cannot be distinguished.
-const UNSEEN: f64 = 1e3;
+/// Figure of a path on which parameters cannot be distinguished, above that of any other; finite, as the line search requires.
+const UNSEEN: f64 = 1e30;
 
 /// Configuration of a search.
 #[derive(Clone, Debug, PartialEq)]

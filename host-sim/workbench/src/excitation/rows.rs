@@ -1,8 +1,6 @@
 //! Rows of the base regressor in the link frames of the description, with rotor and friction columns.
 
-use crate::dynamics::{
-    LinkMotion, Motion, PerJoint, RigidBodies, STATES, independent_columns, random_motions,
-};
+use crate::dynamics::{LinkMotion, Motion, PerJoint, RigidBodies, STATES, independent_columns};
 use crate::robot::{Coupling, Joint, LINK_PARAMETERS, Placement, Robot};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::ops::Range;
@@ -63,7 +61,7 @@ impl Rows {
             rotor_columns: (0..joints).collect(),
         };
         let rigid = (LINK_PARAMETERS + 1) * joints;
-        let full = rows.stacked(&random_motions(joints, STATES));
+        let full = rows.stacked(&rows.bodies.random_motions(STATES));
         let (columns, _) = independent_columns(&full.columns(0, rigid).into_owned());
         let (of_links, of_rotors) = columns.into_iter().partition::<Vec<_>, _>(|c| *c < links);
         rows.link_columns = of_links.into_iter().map(place).collect();
@@ -204,7 +202,7 @@ impl Rows {
     /// friction from the description.
     pub(super) fn parameters(&self, robot: &Robot) -> Option<DVector<f64>> {
         let rigid = self.link_columns.len() + self.rotor_columns.len();
-        let states = random_motions(self.joints(), STATES);
+        let states = self.bodies.random_motions(STATES);
         let rows = self.stacked(&states).columns(0, rigid).into_owned();
         let mut torques = DVector::zeros(self.joints() * STATES);
         for (k, state) in states.iter().enumerate() {
@@ -235,6 +233,7 @@ pub(super) fn coupled_ur5() -> Robot {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::random_motions;
 
     #[test]
     fn ur5_has_36_link_columns_in_both_frames() {

@@ -72,36 +72,38 @@ pub fn optimise(
     };
     let finalists = starts.len().div_ceil(FINALIST_EVERY);
     let all = starts.len() + finalists;
-    let mut done = 0;
-    progress(done, all);
-    let mut count = || {
-        done += 1;
+    let mut searched = |search: &Search<'_>| {
+        let mut done = 0;
         progress(done, all);
-    };
-    let coarse_search = |start: &Vec<f64>| search.coarse_search(start);
-    let mut coarse = in_parallel(threads, &starts, coarse_search, &mut count);
-    // Stable: equal values keep the order of their starts.
-    coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
-    coarse.truncate(finalists);
-    let finish = |(_, variables): &(f64, Vec<f64>)| search.finish(variables);
-    let mut results = in_parallel(threads, &coarse, finish, &mut count);
-    if let Some(excitation) = given {
-        let kept = Excitation {
-            seed: config.seed,
-            certificate: None,
-            ..excitation.clone()
+        let mut count = || {
+            done += 1;
+            progress(done, all);
         };
-        results.insert(0, search.certified(kept));
-    }
-    let found = search.best(&results);
+        let coarse_search = |start: &Vec<f64>| search.coarse_search(start);
+        let mut coarse = in_parallel(threads, &starts, coarse_search, &mut count);
+        // Stable: equal values keep the order of their starts.
+        coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
+        coarse.truncate(finalists);
+        let finish = |(_, variables): &(f64, Vec<f64>)| search.finish(variables);
+        let mut results = in_parallel(threads, &coarse, finish, &mut count);
+        if let Some(excitation) = given {
+            let kept = Excitation {
+                seed: config.seed,
+                certificate: None,
+                ..excitation.clone()
+            };
+            results.insert(0, search.certified(kept));
+        }
+        search.best(&results)
+    };
+    let found = searched(&search);
     if config.condition_required || found.is_ok() {
         return found;
     }
-    // No start keeps the condition number: the certificates are made anew without it.
+    // No start keeps the condition number: a search for it breaks other limits, so it is made anew without.
     search.config.condition_limit = f64::INFINITY;
-    let again = |excitation: Excitation| search.certified(excitation);
-    let results = results.into_iter().map(|result| result.and_then(again));
-    search.best(&results.collect::<Vec<_>>())
+    search.objective.ln_condition_limit = f64::INFINITY;
+    searched(&search)
 }
 
 /// One robot and one task, ready for any number of starts.

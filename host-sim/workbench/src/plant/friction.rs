@@ -133,7 +133,7 @@ impl<const N: usize> DriveFriction<N> {
     fn parts(&self, j: usize, q: f64, qd: f64, load: f64, t_s: f64) -> (f64, f64, f64) {
         let friction = &self.joints[j];
         let warm = 1.0 - self.warm_fall * self.warmth[j];
-        let viscous = friction.viscous * (1.0 + self.viscous_drift * t_s) * warm;
+        let viscous = friction.viscous * (1.0 + self.viscous_drift * t_s).max(0.0) * warm;
         let ratio = qd / friction.stribeck_velocity;
         let peak = friction.stribeck_ratio * (-ratio * ratio).exp();
         let cogging = friction.cogging * (friction.cogging_cycles_rev * q).sin();
@@ -148,7 +148,7 @@ pub(super) struct Gear<const N: usize> {
     pub(super) stiffness: Joints<N>,
     damping: Joints<N>,
     pub(super) rotor: Joints<N>,
-    half_backlash: f64,
+    pub(super) half_backlash: f64,
     /// Factor of the torque loop on rotor inertia and friction.
     pub(super) loop_factor: f64,
     /// Positions, rad, and velocities, rad/s, of the links.
@@ -296,6 +296,10 @@ mod tests {
         for (j, joint) in robot.joints.iter().enumerate() {
             assert!((late[j] - here[j] - 0.3 * joint.friction.viscous).abs() < 1e-9);
         }
+        // Friction that falls for long is gone, and drives nothing.
+        let falling = model(-0.9 / 600.0, 0.0, PlantEffects::default());
+        let gone = [1200.0, 2400.0].map(|t_s| steady(&falling, &q, 1.0, 0.0, t_s));
+        assert_eq!(gone[0], gone[1]);
     }
 
     #[test]

@@ -218,7 +218,8 @@ impl<const N: usize> Plant<N> {
         if let Some(gear) = &mut self.gear {
             gear.torque = self.tau;
             gear.qd = Joints::zeros();
-            gear.q = q - self.tau.component_div(&gear.stiffness);
+            let play = self.tau.map(|tau| gear.half_backlash.copysign(tau));
+            gear.q = q - self.tau.component_div(&gear.stiffness) - play;
         }
     }
 

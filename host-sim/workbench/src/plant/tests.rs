@@ -366,3 +366,20 @@ fn a_push_moves_the_arm_but_not_the_torque_of_a_motion() {
     let motion = State { q, qd, qdd };
     assert_eq!(pushed.true_torque(&motion), left.true_torque(&motion));
 }
+
+#[test]
+fn an_arm_that_is_put_down_rests_on_its_gears() {
+    let mut config = quiet(4000.0);
+    (config.effects.twist_mrad, config.effects.backlash_mrad) = (1.0, 1.0);
+    let mut plant = Plant::<6>::new(&truth(), config, 1).expect("six joints");
+    let q = Joints::from([0.3, -0.8, 0.9, -0.4, 1.1, 0.2]);
+    plant.place(&q);
+    let weight = plant.model.gravity_torques(&q);
+    plant.advance(&weight, 1e-3);
+    let carried = plant.gear.as_ref().expect("elastic").torque;
+    let heavy = weight.iamax();
+    assert!(
+        (carried[heavy] / weight[heavy] - 1.0).abs() < 0.1,
+        "{carried} {weight}"
+    );
+}

@@ -100,7 +100,7 @@ impl<const N: usize> ViaPath<N> {
         let (mut centre, mut reach) = (Joints::<N>::zeros(), Joints::<N>::zeros());
         for (j, joint) in robot.joints.iter().take(N).enumerate() {
             let (low, high) = joint.limits.position;
-            // Between via points the path leaves their range by a quarter at most.
+            // Between via points the path leaves their range by five sixteenths of it at most, seldom by a quarter.
             reach[j] = (0.45 * (high - low)).min(1.25 * VIA_RANGE_RAD);
             let aside = 0.05 * (high - low) + reach[j];
             centre[j] = 0.0_f64
@@ -236,9 +236,26 @@ impl<const N: usize> ViaPath<N> {
 
 /// Largest relative error of a number of six digits.
 const DIGITS: f64 = 5e-6;
+/// Largest acceleration between two rows over the limit: a cubic through rows of a motion at the limit is this much above it.
+const BENT: f64 = 1.5;
 /// Shortest time over which positions are compared with velocities, s, or a whole shorter table. Roundings, and positions
 /// that a measured log repeats, count less in a longer one.
 const SPAN_S: f64 = 0.1;
+
+/// Largest acceleration of the cubic between two rows, beyond what an error of `rounding` in its positions makes, rad/s².
+///
+/// With the gain g of velocity and the distance r beyond that of a velocity which changes evenly, `|g| / h + 6 |r| / h²`.
+fn bend<const N: usize>(
+    (from_s, a): &(f64, State<N>),
+    (to_s, b): &(f64, State<N>),
+    j: usize,
+    rounding: f64,
+) -> f64 {
+    let h = to_s - from_s;
+    let rest = b.q[j] - a.q[j] - 0.5 * (a.qd[j] + b.qd[j]) * h;
+    let gain = (b.qd[j] - a.qd[j]).abs() - 2.0 * rounding / h;
+    gain / h + 6.0 * (rest.abs() - rounding) / (h * h)
+}
 
 /// Motion between two samples: the cubic with their positions and velocities; accelerations in proportion to the time.
 pub(super) fn between<const N: usize>(
@@ -264,13 +281,17 @@ pub(super) fn between<const N: usize>(
 /// errs at most, where the velocity rises and falls at the limit, and a quarter of the way for the noise of a measured log.
 /// Digits of the file and two steps of the encoder come on top. Rows so far apart that the joint reaches its speed limit between
 /// them must not swing.
+///
+/// The velocities keep the acceleration limit, `|Δqd| ≤ a Σ h`, and follow the accelerations, `|Δqd − Σ ½ (qdd + qdd') h| ≤ ½ a Σ h`:
+/// a trapezoid errs by as much where the acceleration steps from one limit to the other. Two steps of the encoder in a row's
+/// time come on top.
 pub(super) fn agree<const N: usize>(
     robot: &Robot,
     samples: &[(f64, State<N>)],
 ) -> Result<(), Refusal> {
     for (j, joint) in robot.joints.iter().take(N).enumerate() {
         let limits = &joint.limits;
-        let (mut first, mut followed, mut bound) = (0, 0.0, 0.0);
+        let (mut first, mut followed, mut bound, mut gained) = (0, 0.0, 0.0, 0.0);
         for (row, rows) in samples.windows(2).enumerate() {
             let ((from_s, a), (to_s, b)) = (&rows[0], &rows[1]);
             let h = to_s - from_s;
@@ -280,6 +301,7 @@ pub(super) fn agree<const N: usize>(
             let rounding = 2.0 * joint.drive.encoder_step() + DIGITS * numbers;
             let (step, moved) = (b.q[j] - a.q[j], b.q[j] - start.q[j]);
             followed += 0.5 * (a.qd[j] + b.qd[j]) * h;
+            gained += 0.5 * (a.qdd[j] + b.qdd[j]) * h;
             bound += 0.25 * (limits.acceleration * h * h + step.abs()) + DIGITS * speed * h;
             let place = format!("row {} at {to_s:.3} s, joint {}", row + 2, j + 1);
             // From rest to the speed limit and back. Over a longer time a cubic is monotone up to a slope of 3 Δq / h.
@@ -305,8 +327,30 @@ pub(super) fn agree<const N: usize>(
                     first + 1
                 )));
             }
+            let (gain, noise) = (b.qd[j] - start.qd[j], 2.0 * rounding / h);
+            let most = limits.acceleration * (to_s - start_s);
+            if judged && gain.abs() > most + noise {
+                return Err(Refusal(format!(
+                    "{place}: the velocity changes by {gain:.3} rad/s in {:.4} s, its limit is {:.3} rad/s²: slow the motion down",
+                    to_s - start_s,
+                    limits.acceleration
+                )));
+            }
+            if judged && (gain - gained).abs() > 0.5 * most + noise {
+                return Err(Refusal(format!(
+                    "{place}: the velocity changed by {gain:.6} rad/s since row {}, its accelerations give {gained:.6} rad/s: write the derivative of the velocities in their place",
+                    first + 1
+                )));
+            }
+            let (bend, limit) = (bend(&rows[0], &rows[1], j, rounding), limits.acceleration);
+            // In closer rows the noise of a measured log bends it.
+            if h >= SPAN_S && bend > BENT * limit {
+                return Err(Refusal(format!(
+                    "{place}: on the way from the row before it is asked for {bend:.3} rad/s², its limit is {limit:.3} rad/s²: add the rows between, or slow the motion down"
+                )));
+            }
             if whole {
-                (first, followed, bound) = (row + 1, 0.0, 0.0);
+                (first, followed, bound, gained) = (row + 1, 0.0, 0.0, 0.0);
             }
         }
     }

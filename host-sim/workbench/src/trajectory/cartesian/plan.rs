@@ -5,7 +5,7 @@ use crate::Refusal;
 use crate::dynamics::{Joints, State};
 use crate::kinematics::Inverse;
 use crate::robot::{Placement, Robot};
-use crate::trajectory::{ROUNDED, within};
+use crate::trajectory::{MOST_DURATION_S, ROUNDED, within};
 
 /// Largest difference between predicted and found joint positions, rad. At the speed limit a tick of 1 ms is some
 /// milliradians; another branch of solutions is farther away, except where two branches meet.
@@ -48,6 +48,11 @@ pub fn plan<const N: usize>(
         total_s
     };
     let ends: Vec<f64> = path.moves.iter().map(end_s).collect();
+    if total_s > MOST_DURATION_S {
+        let problem =
+            format!("the moves take {total_s:.0} s, at most {MOST_DURATION_S} are played");
+        return Err(Refusal(problem));
+    }
     let ticks = (total_s / period_s).round() as usize;
     let mut samples: Vec<(f64, State<N>)> = Vec::with_capacity(ticks + 1);
     let mut predicted = q;
@@ -213,6 +218,13 @@ mod tests {
             0.25], rpy_rad = [3.141592653589793, 0.0, 0.0] }\\n\\n[[ | 0.25] }\\n\\n[[ | start.rpy_rad: is missing
             -1.57, 0.0] | -1.57] | near_q_rad: 5 values for 6 joints
             xyz_m = [0.0, 0.0, 0.1] | xyz_m = [0.0, 0.0, nan] | tool.xyz_m: is not a finite number";
+        let text = PATH.to_owned()
+            + &"\n[[move]]\nduration_s = 3600\nline = { xyz_m = [-0.4, -0.15, 0.25] }".repeat(28);
+        let error = plan::<6>(&ur5(), &text, PERIOD_S).expect_err("too long");
+        assert_eq!(
+            error.to_string(),
+            "the moves take 100808 s, at most 100000 are played"
+        );
         for case in cases.trim().lines() {
             let [good, bad, message] = case.split('|').map(str::trim).collect::<Vec<_>>()[..]
             else {
