@@ -119,7 +119,11 @@ fn module<const N: usize, const P: usize>(model: &ArmModel<N, P>, arm: &str) -> 
     format!(
         "\
 //! Constants of `{name}`, written by `host-sim generate` from its description. Change that, not this.
-#![allow(clippy::approx_constant, dead_code, reason = \"numbers of a description; a program needs some of these names only\")]
+#![allow(
+    clippy::approx_constant,
+    dead_code,
+    reason = \"numbers of a description; a program needs some of these names only\"
+)]
 
 use foretorque::arm::{{Arm, BaseTerm, JointLimits, LinkColumns, Placement}};
 
