@@ -82,7 +82,6 @@ fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
                 flatten(below(name), value, into);
             }
         }
-        // Of curves every point would be a line.
         Value::Array(values) if values.len() <= LONGEST || values.iter().all(Value::is_object) => {
             let mut named: BTreeMap<String, usize> = BTreeMap::new();
             for (number, value) in (1..).zip(values) {
@@ -95,6 +94,7 @@ fn flatten(key: String, value: &Value, into: &mut BTreeMap<String, Value>) {
                 }
             }
         }
+        // Of a curve every point would be a line.
         Value::Array(_) | Value::Null => {}
         figure => {
             into.insert(key, figure.clone());

@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, ensure};
@@ -40,9 +41,16 @@ const REPORT: &str = "tests/snapshots/mutants.txt";
 /// Text in place of a missing reason.
 const NO_REASON: &str = "no reason given";
 
-fn main() -> Result<()> {
+fn main() -> ExitCode {
     let count = std::env::args().nth(1).map(|count| count.parse());
-    campaign(count.transpose()?.unwrap_or(COUNT))
+    let run = || campaign(count.transpose()?.unwrap_or(COUNT));
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
 }
 
 fn campaign(count: usize) -> Result<()> {

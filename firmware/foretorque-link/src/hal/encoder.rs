@@ -27,7 +27,7 @@ pub struct EncoderConfig {
     /// Turns of the encoder per turn of the joint: 1 on the link side, the gear ratio on the motor's shaft.
     pub ratio: f32,
     /// Largest plausible change from one reading to the next, counts; below half a turn, beyond which the direction is ambiguous.
-    /// A turn stays known over as many missed readings as fit half a turn with it.
+    /// The turn stays known while as many of them as readings were missed, and one more, are below half a turn.
     pub largest_step: u16,
 }
 

@@ -8,7 +8,8 @@ use nalgebra::{DMatrix, DVector};
 pub const STATES: usize = 44;
 
 /// A column counts as new when what the columns left of it cannot explain exceeds this share of its length. Independent
-/// columns leave above 0.5 where all axes are at right angles or parallel, and about sin ε where one is ε off; dependent ones about 1e-15, or 1e-6 to 1e-2 where calibrated angles, a few mrad off a right
+/// columns leave above 0.5 where all axes are at right angles or parallel, and about sin ε where one is off by an angle ε.
+/// Dependent ones leave about 1e-15, or 1e-6 to 1e-2 where calibrated angles, a few mrad off a right
 /// angle, take the place of exact ones: no log shows such a column, and to merge it costs less than this share of its
 /// torque.
 const INDEPENDENT: f64 = 1e-2;

@@ -282,6 +282,15 @@ mod tests {
     use super::*;
 
     #[test]
+    fn one_point_at_the_time_of_a_clock_is_drawn() {
+        let points = vec![(1.7e9, 2.0)];
+        let color = PlotColor::Truth;
+        let panel = Panel::new("one", "t / s", "q / rad", vec![Curve { color, points }]);
+        let page = grid(&[panel], 1).expect("drawn");
+        assert!(page.contains("1700000000"), "{page}");
+    }
+
+    #[test]
     fn thinning_keeps_every_peak_and_the_order() {
         let points = (0..30_000).map(|k| (f64::from(k), (f64::from(k) * 1e-3).sin()));
         let mut points: Vec<(f64, f64)> = points.collect();

@@ -240,6 +240,8 @@ impl TableError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flate2::{Compression, write::GzEncoder};
+    use std::io::Write as _;
     use tempfile::tempdir;
 
     #[test]
@@ -294,6 +296,21 @@ SOUND | : no rows
             assert_eq!(rows[0].1.qdd[0], 1e-17);
             assert_eq!(rows[1].0, 0.1 + 0.2);
         }
+    }
+
+    #[test]
+    fn a_header_in_a_member_of_its_own_is_that_of_the_table() {
+        let directory = tempdir().expect("creates");
+        let path = directory.path().join("two.csv.gz");
+        let member = |text: &str| {
+            let mut writer = GzEncoder::new(Vec::new(), Compression::default());
+            writer.write_all(text.as_bytes()).expect("writes");
+            writer.finish().expect("finishes")
+        };
+        let [comment, rows] = ["# t_s;a;b\n", "0;1;2\n1;3;4\n"].map(member);
+        fs::write(&path, [comment, rows].concat()).expect("writes");
+        let table = Rows::open(&path).expect("opens");
+        assert_eq!(table.header, ["t_s", "a", "b"]);
     }
 
     fn bag(name: &str) -> PathBuf {

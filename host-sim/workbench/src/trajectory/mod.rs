@@ -367,7 +367,7 @@ mod tests {
         rows[1].1.q[0] = 2.5;
         let error = check(&rows).expect_err("too fast").to_string();
         assert!(error.contains("is asked for 3."), "{error}");
-        // Velocities that turn at once, rows from rest to rest in too short a time, and no accelerations.
+        // Velocities that turn at once, rows from rest to rest in too short a time, and accelerations of the other sign.
         let mut turns = table(1e-3);
         for (t_s, state) in &mut turns {
             let (back, t_s) = ((*t_s / 0.5) as u32 % 2 == 1, *t_s % 0.5);
@@ -375,23 +375,18 @@ mod tests {
             state.qd[0] = if back { -3.0 } else { 3.0 };
             state.qdd[0] = 0.0;
         }
-        let mut rests = vec![(0.0, State::rest(Joints::zeros())); 4];
-        for (row, (t_s, q)) in
-            rests
-                .iter_mut()
-                .zip([(0.0, 0.0), (1.0, 0.0), (1.3, 0.25), (2.3, 0.25)])
-        {
-            (row.0, row.1.q[0]) = (t_s, q);
-        }
-        let mut coasts = table(1e-3);
-        coasts.iter_mut().for_each(|row| row.1.qdd[0] *= -1.0);
+        let rest =
+            |(t_s, q): (f64, f64)| (t_s, State::rest(Joints::from([q, 0.0, 0.0, 0.0, 0.0, 0.0])));
+        let rests = [(0.0, 0.0), (1.0, 0.0), (1.3, 0.25), (2.3, 0.25)].map(rest);
+        let mut turned = table(1e-3);
+        turned.iter_mut().for_each(|row| row.1.qdd[0] *= -1.0);
         for (rows, words) in [
-            (&turns, "the velocity changes by -6.000 rad/s"),
+            (&turns[..], "the velocity changes by -6.000 rad/s"),
             (
                 &rests,
                 "on the way from the row before it is asked for 16.6",
             ),
-            (&coasts, "its accelerations give"),
+            (&turned, "its accelerations give"),
         ] {
             let error = check(rows).expect_err(words).to_string();
             assert!(error.contains(words), "{error}");

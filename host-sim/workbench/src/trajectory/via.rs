@@ -237,7 +237,7 @@ impl<const N: usize> ViaPath<N> {
 /// Largest relative error of a number of six digits.
 const DIGITS: f64 = 5e-6;
 /// Largest acceleration between two rows over the limit: a cubic through rows of a motion at the limit is this much above it.
-const BENT: f64 = 1.5;
+const CUBIC_EXCESS: f64 = 1.5;
 /// Shortest time over which positions are compared with velocities, s, or a whole shorter table. Roundings, and positions
 /// that a measured log repeats, count less in a longer one.
 const SPAN_S: f64 = 0.1;
@@ -245,7 +245,7 @@ const SPAN_S: f64 = 0.1;
 /// Largest acceleration of the cubic between two rows, beyond what an error of `rounding` in its positions makes, rad/s².
 ///
 /// With the gain g of velocity and the distance r beyond that of a velocity which changes evenly, `|g| / h + 6 |r| / h²`.
-fn bend<const N: usize>(
+fn cubic_acceleration<const N: usize>(
     (from_s, a): &(f64, State<N>),
     (to_s, b): &(f64, State<N>),
     j: usize,
@@ -282,8 +282,8 @@ pub(super) fn between<const N: usize>(
 /// Digits of the file and two steps of the encoder come on top. Rows so far apart that the joint reaches its speed limit between
 /// them must not swing.
 ///
-/// The velocities keep the acceleration limit, `|Δqd| ≤ a Σ h`, and follow the accelerations, `|Δqd − Σ ½ (qdd + qdd') h| ≤ ½ a Σ h`:
-/// a trapezoid errs by as much where the acceleration steps from one limit to the other. Two steps of the encoder in a row's
+/// The velocities keep the acceleration limit, `|Δqd| ≤ a Σ h`, and follow the accelerations,
+/// `|Δqd − Σ ½ (qdd + qdd') h| ≤ ½ a Σ h`: a trapezoid errs by as much where the acceleration steps from one limit to the other. Two steps of the encoder in a row's
 /// time come on top.
 pub(super) fn agree<const N: usize>(
     robot: &Robot,
@@ -342,11 +342,12 @@ pub(super) fn agree<const N: usize>(
                     first + 1
                 )));
             }
-            let (bend, limit) = (bend(&rows[0], &rows[1], j, rounding), limits.acceleration);
-            // In closer rows the noise of a measured log bends it.
-            if h >= SPAN_S && bend > BENT * limit {
+            let peak = cubic_acceleration(&rows[0], &rows[1], j, rounding);
+            let limit = limits.acceleration;
+            // In closer rows the noise of a measured log makes most of it.
+            if h >= SPAN_S && peak > CUBIC_EXCESS * limit {
                 return Err(Refusal(format!(
-                    "{place}: on the way from the row before it is asked for {bend:.3} rad/s², its limit is {limit:.3} rad/s²: add the rows between, or slow the motion down"
+                    "{place}: on the way from the row before it is asked for {peak:.3} rad/s², its limit is {limit:.3} rad/s²: add the rows between, or slow the motion down"
                 )));
             }
             if whole {

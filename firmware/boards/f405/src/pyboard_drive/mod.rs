@@ -65,7 +65,7 @@ const SELECT_CYCLES: u32 = 64;
 const ENCODER_POLLS: u32 = 200;
 
 /// Zero, sign and ratio of the encoder: on the link, counting with +q. 160 counts from a reading to the next are 0.061 rad, more
-/// than the joint can move in 19 ms; at 1 kHz half a turn is as much as 51 readings, so that 50 may fail.
+/// than the joint can move in 19 ms; 51 of them are below half a turn, so at 1 kHz readings may fail for 50 ms.
 const ENCODER: EncoderConfig = EncoderConfig {
     zero_counts: 0,
     direction: Direction::Same,

@@ -415,6 +415,7 @@ mod tests {
         assert_eq!(lost(&[(0, 0), (0, 1), (0, 9)]), [0, 0, 0]);
         assert_eq!(lost(&[(1, 0), (8, 6), (7, 6)]), [0, MAX_FILLED, MAX_FILLED]);
         assert_eq!(lost(&[(1, 0), (2, 31), (3, 31)]), [0, MAX_FILLED, 0]);
+        assert_eq!(lost(&[(1, 0), (2, u32::MAX)]), [0, MAX_FILLED]);
         let mut gaps = SampleGaps::default();
         gaps.interrupt();
         assert_eq!(gaps.take(flags(1), 0).lost, 0, "there was nothing before");

@@ -25,6 +25,9 @@ fn the_timer_runs_the_newest_sample_once_and_none_from_before_a_configuration() 
     board.pace(Pacing::SysTick);
     let flags = Flags(torque(&board.timer()[0].1).flags);
     assert!(flags.contains(Flags::STALE_SAMPLE));
+    // Until a host that begins anew has sent a sample, no tick has a number of its own.
+    board.hello();
+    assert_eq!(board.timer()[0].0, 0);
 }
 
 /// Every counter counts what it is called, by one, and a reset sets all of them back.

@@ -178,8 +178,8 @@ pub(super) fn across(robot: &Robot) -> [(Vector3<f64>, RigidBodies); 2] {
     })
 }
 
-/// Weighted least squares with the direction of gravity as two parameters more, and the finding of a tilt that is certain; `None` where the
-/// parameters of the arm explain all that a tilt does.
+/// Weighted least squares with the direction of gravity as two parameters more, and the finding of a tilt that is certain;
+/// `None` where the parameters of the arm explain all that a tilt does.
 ///
 /// ```text
 /// tau = Y theta + t_1 G_1 + t_2 G_2    G_k = torque of the description under gravity along axis k across the described one
