@@ -17,6 +17,13 @@ pub struct Clocks {
     pub apb1_hz: u32,
 }
 
+impl Clocks {
+    /// Clock of the timers on the slow peripheral bus, Hz: twice the bus's, where that is divided (RM0090 7.2).
+    pub fn timer_hz(&self) -> u32 {
+        self.cpu_hz.min(2 * self.apb1_hz)
+    }
+}
+
 /// Starts the best clock: crystal and PLL, else internal oscillator and PLL, else the internal oscillator.
 ///
 /// * `crystal_hz` crystal of the board

@@ -29,6 +29,8 @@ pub(crate) fn write_key() -> Option<WriteKey> {
 ///
 /// * `emulated` the chip has no generator; the number alone differs, until the emulator ends
 pub(crate) fn seed(rng: &RNG, rcc: &RCC, emulated: bool) -> Option<[u8; MAC_BYTES]> {
+    // First: its clock takes two cycles (ES0182 2.1.13), in which the start is counted. A write before them has no effect.
+    rcc.ahb2enr().modify(|_, w| w.rngen().enabled());
     let starts = &raw mut STARTS;
     // SAFETY: called once, from `init`, with interrupts off; any bit pattern is a u32.
     let number = unsafe {
@@ -36,7 +38,6 @@ pub(crate) fn seed(rng: &RNG, rcc: &RCC, emulated: bool) -> Option<[u8; MAC_BYTE
         starts.cast::<u32>().write_volatile(number);
         number
     };
-    rcc.ahb2enr().modify(|_, w| w.rngen().enabled());
     rng.cr().write(|w| w.rngen().set_bit());
     // The first word is discarded, and no word may equal the one before (RM0090 24.3.1, FIPS 140-2).
     let first = random(rng);

@@ -21,8 +21,8 @@ const START: u16 = 0xCCCC;
 /// Division by 256 and all counts: 22 to 60 s.
 const LONGEST_PRESCALER: u8 = 6;
 const LONGEST_RELOAD: u16 = 0xFFF;
-/// Reads of the busy flags: more than five periods of 17 kHz, at three cycles a read and 168 MHz.
-const CHANGE_POLLS: u32 = 20_000;
+/// Reads of the busy flags, 75 ms and more: five periods of 17 kHz divided by 256, at six cycles a read and 168 MHz.
+const CHANGE_POLLS: u32 = 0x1F_FFFF;
 
 /// The watchdog; once started it runs until the next reset.
 pub(crate) struct Watchdog(IWDG);
@@ -47,8 +47,8 @@ impl Watchdog {
 
     /// Changes the time and begins it anew.
     fn set(&self, prescaler: u8, reload: u16) {
-        // The registers take a change when the one before has reached the slow oscillator (RM0090 21.4.4), five of its
-        // periods at most; should it stand still, so does the watchdog.
+        // The registers take a change when the one before has reached the slow oscillator (RM0090 21.4.4): five of its
+        // periods, the divided ones as ST's own driver has it. Should it stand still, so does the watchdog.
         let _ = (0..CHANGE_POLLS).any(|_| self.0.sr().read().bits() == 0);
         self.key(UNLOCK);
         self.0.pr().write(|w| w.pr().set(prescaler));

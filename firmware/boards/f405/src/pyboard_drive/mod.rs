@@ -100,8 +100,8 @@ impl Board for PyboardDrive {
         // A line that is not plugged in is a fault. The open drain of the drive has its pull-up, 4.7 kΩ, on the drive's side.
         b.pb12.into_alternate::<1>().internal_pull_down(true);
         a.pa4.into_push_pull_output_in_state(PinState::High);
-        // Faster than the 4 MHz of a pin after reset; the next step, 25 MHz, rings least (DS8626 table 50).
-        a.pa5.into_alternate::<5>().speed(Speed::Medium);
+        // A clock line with slower edges corrupts the last bit of what is received at 84 MHz of the bus (ES0182 2.12.4).
+        a.pa5.into_alternate::<5>().speed(Speed::High);
         a.pa6.into_alternate::<5>().internal_pull_up(true);
         a.pa7.into_alternate::<5>().speed(Speed::Medium);
         start_link(a.pa2, a.pa3);
