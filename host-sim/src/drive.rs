@@ -10,9 +10,9 @@ use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
 use foretorque::limits::Flags;
 use foretorque_link::bank::{ParameterBank, Parameters};
-use foretorque_link::bus::BusConfig;
+use foretorque_link::bus::{BusConfig, BusFault, FaultCause};
 use foretorque_workbench::bus::sim::{SimulatedNetwork, plant_config};
-use foretorque_workbench::bus::{BusChoice, BusPlayer, Network, Profile};
+use foretorque_workbench::bus::{BusChoice, BusError, BusPlayer, Network, Profile};
 use foretorque_workbench::closed_loop::{TickRecord, motion_f32};
 use foretorque_workbench::dynamics::{Joints, State};
 use foretorque_workbench::files::{remove_stale, write_whole};
@@ -53,6 +53,9 @@ pub(super) struct Arguments {
     /// Learn while it runs
     #[arg(long)]
     learn: bool,
+    /// Clear faults that the drives report before they are switched on, as after their watchdog has tripped
+    #[arg(long)]
+    clear_faults: bool,
     /// Send no torque: the drives' own PD alone, for comparison
     #[arg(long, conflicts_with_all = ["learn", "bank"])]
     alone: bool,
@@ -293,7 +296,16 @@ impl<'a, A: Arm<N, P> + Send, const N: usize, const P: usize> Drive<'a, A, N, P>
         }
         let network = Attended::new(network, self.arguments.bus.is_simulated());
         let mut player = BusPlayer::new(self.config, &parameters, network)?;
-        player.arm()?;
+        player.clears_faults = self.arguments.clear_faults;
+        player.arm().map_err(|error| match error {
+            BusError::Fault(BusFault {
+                cause: FaultCause::Drive(_),
+                ..
+            }) if !player.clears_faults => {
+                unusable(format!("{error}; where its reason is gone: --clear-faults"))
+            }
+            error => error.into(),
+        })?;
         let mut played = Played {
             player,
             ticks: 0,
@@ -399,6 +411,7 @@ impl<'a, A: Arm<N, P> + Send, const N: usize, const P: usize> Drive<'a, A, N, P>
 
     fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
         let out = &self.arguments.out;
+        remove_stale(out, &["drive.json"])?;
         let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
         let played = self.logged(network, self.arguments.alone, Some(&mut log))?;
         log.finish()?;

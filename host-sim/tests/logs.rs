@@ -229,7 +229,7 @@ absolute torque 5 | torque of joint 5 is never negative: is it an absolute value
 degrees | are these degrees (--units q=deg, for all logs), does it jump there, or are the limits
 milliseconds | s apart: are its times in ms (--units t=ms)?
 no torques | are noise: they follow neither the motion nor gravity
-millinewtons | is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?
+millinewtons | is this mN·m or N·cm (--units tau=mNm or tau=Ncm), or a share of the rated torque
 turned torques | is this a log that counts the other way (--units tau=-Nm or i=-A)?
 turned torque 3 | torque of joint 3 has the wrong sign
 turned torque 1 | torque of joint 1 has the wrong sign

@@ -83,6 +83,23 @@ impl<const N: usize> BusConfig<N> {
             let (id, against) = (joint.drive.id.into(), "the id in the replies of joint");
             return Err(Contradiction::new("id", id, against, before as f32 + 1.0));
         }
+        // A reply to the identifier of a drive would be a command to it.
+        let host = |other: &BusJoint| {
+            let hosted = !matches!(
+                joint.drive.protocol,
+                Protocol::Odrive(_) | Protocol::Cia402(_)
+            );
+            hosted && other.bus == joint.bus && other.drive.id == joint.drive.host_id
+        };
+        if let Some(other) = self.joints.iter().position(host) {
+            let (id, against) = (joint.drive.host_id.into(), "the id of the drive of joint");
+            return Err(Contradiction::new(
+                "host_id",
+                id,
+                against,
+                other as f32 + 1.0,
+            ));
+        }
         limits.map_or(Ok(()), |limits| joint.check_against(limits))
     }
 
@@ -250,7 +267,7 @@ mod tests {
                 resolution: Resolution::Int16,
             });
         }
-        let corruptions: [fn(&mut BusConfig<6>); 12] = [
+        let corruptions: [fn(&mut BusConfig<6>); 13] = [
             |c| moteus(c, 9.0, 28.0),
             |c| moteus(c, 0.05, 28.0),
             |c| moteus(c, 0.5, 28.0),
@@ -262,6 +279,7 @@ mod tests {
             },
             |c| c.joints[5].drive.id = 4,
             |c| c.joints[5].drive.id = 20,
+            |c| c.joints[1].drive.host_id = 3,
             |c| c.joints[0].bus = 2,
             |c| c.joints[0].kp = 6000.0,
             |c| c.joints[5].drive.gear = 10.0,
@@ -276,6 +294,7 @@ mod tests {
             "joint 3: torque_limit 28 contradicts the largest value 20",
             "joint 6: id 4 contradicts the id in the replies of joint 4",
             "joint 6: id 20 contradicts the id in the replies of joint 4",
+            "joint 2: host_id 3 contradicts the id of the drive of joint 3",
             "joint 1: bus 2 contradicts the last bus 1",
             "joint 1: kp 6000 contradicts the largest kp of the frame 5000",
             "joint 6: range of position 1.25 contradicts the travel of the arm from its zero 6.38",

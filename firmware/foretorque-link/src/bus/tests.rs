@@ -193,7 +193,7 @@ impl Drives {
                     temperature: Some(30.0),
                     state: Some(*state),
                 };
-                if frames.is_empty() && change(j, &mut reply) {
+                if frames.is_empty() && joint.drive.answers(&frame) && change(j, &mut reply) {
                     joint.drive.reply(&reply, &mut frames);
                 }
                 if joint.drive.protocol == ODRIVE && !self.periods.is_multiple_of(self.heartbeat) {

@@ -244,6 +244,16 @@ impl DriveProfile {
         }
     }
 
+    /// This drive answers a frame that it has accepted with its state: a moteus answers a query, an ODrive that is polled a
+    /// remote frame.
+    pub fn answers(&self, frame: &Frame) -> bool {
+        match &self.protocol {
+            Protocol::Moteus(_) => moteus::queries(frame),
+            Protocol::Odrive(odrive) => frame.remote || !odrive.polled,
+            _ => true,
+        }
+    }
+
     /// Appends the frames that this drive sends as its reply; an absent quantity counts as 0.
     pub fn reply(&self, reply: &JointReply, frames: &mut Frames) {
         let turn = self.sign * self.gear;

@@ -327,7 +327,13 @@ fn next(bytes: &mut &[u8], form: u8) -> Option<Value> {
     })
 }
 
-/// Calls `register` with every value of `kind` in a frame and the place behind it; `false` where the frame ends in the middle of a subframe or
+/// A frame asks for registers.
+pub(super) fn queries(frame: &Frame) -> bool {
+    let mut any = false;
+    each(frame.bytes(), READ, |_, _, _| any = true) && any
+}
+
+/// Calls `register` with every value of `kind` in a frame and the place behind it, with 0 for a query; `false` where the frame ends in the middle of a subframe or
 /// has one of an unknown kind.
 fn each(all: &[u8], kind: u8, mut register: impl FnMut(u32, Value, usize)) -> bool {
     let mut bytes = all;
@@ -343,6 +349,9 @@ fn each(all: &[u8], kind: u8, mut register: impl FnMut(u32, Value, usize)) -> bo
                     };
                     let start = varuint(&mut bytes)?;
                     if family == READ {
+                        if kind == READ {
+                            register(start, Value::Byte(0), all.len() - bytes.len());
+                        }
                         continue;
                     }
                     // A frame of 64 bytes has no room for more.

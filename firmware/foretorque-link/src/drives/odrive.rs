@@ -89,6 +89,10 @@ impl Codec<'_> {
                 // Input mode 1: pass-through.
                 self.send(command::MODE, &[control, 0, 0, 0, 1, 0, 0, 0], frames);
                 self.send(command::STATE, &state(CLOSED_LOOP), frames);
+                // It answers neither of them.
+                if self.scales.polled {
+                    self.poll(frames);
+                }
             }
             Order::Disable => self.send(command::STATE, &state(IDLE), frames),
             Order::ClearFault => self.send(command::CLEAR, &[0], frames),

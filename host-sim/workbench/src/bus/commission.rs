@@ -11,7 +11,7 @@ use crate::dynamics::{Joints, ReferenceModel};
 use crate::robot::Link;
 use foretorque::arm::Arm;
 use foretorque_link::bus::{BusFault, FaultCause};
-use foretorque_link::drives::{Frames, Order};
+use foretorque_link::drives::{Frames, Order, Protocol};
 use serde::{Deserialize, Serialize};
 
 /// Angle by which each joint is turned by hand, rad.
@@ -22,8 +22,8 @@ const TURN_ERROR: f64 = 0.3;
 const ZERO_RAD: f64 = 0.1;
 /// Largest torque of gravity in the pose of rest, part of the limit.
 const RESTING: f64 = 0.03;
-/// Identifiers that are tried when a drive does not answer.
-const IDS: std::ops::RangeInclusive<u16> = 1..=32;
+/// Last identifier that is tried when a drive does not answer.
+const LAST_ID: u16 = 32;
 
 /// Request to whoever stands beside the arm. The drives are off meanwhile.
 #[derive(Clone, Debug, PartialEq)]
@@ -243,8 +243,13 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
         let config = self.player.controller.config().joints;
         let mut found = Vec::new();
         let last = config.iter().map(|joint| joint.bus).max();
+        // Nodes of an ODrive begin at 0, which is for all nodes elsewhere.
+        let first = match config[joint].drive.protocol {
+            Protocol::Odrive(_) => 0,
+            _ => 1,
+        };
         for bus in 0..=last.unwrap_or_default() {
-            for id in IDS {
+            for id in first..=LAST_ID {
                 let mut drive = config[joint].drive;
                 drive.id = id;
                 // Replies go to the host's identifier, which may be configured with the drive's own.
@@ -252,6 +257,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 let hosts: Vec<u16> = hosts.chain([0, id | 0x10]).collect();
                 let mut frames = Frames::new();
                 drive.order(Order::Disable, &mut frames);
+                drive.order(Order::Report, &mut frames);
                 for frame in &frames {
                     self.player.network.send(bus, frame)?;
                 }

@@ -29,6 +29,8 @@ pub struct BusPlayer<A: Arm<N, P>, W: Network, const N: usize, const P: usize> {
     pub network: W,
     /// The learner.
     pub learner: Learner<A, N, P>,
+    /// Faults that the drives report before they are switched on are cleared.
+    pub clears_faults: bool,
     mailbox: LearnerMailbox<N, P>,
     /// Delays of the ticks so far behind their time, µs.
     delays_us: Vec<f32>,
@@ -58,6 +60,7 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
             controller,
             network,
             learner,
+            clears_faults: false,
             mailbox: LearnerMailbox::default(),
             delays_us: Vec::new(),
             left_out_s: 0.0,
@@ -129,8 +132,16 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> BusPlayer<A, W, N
         for _ in 0..listening {
             self.rest_tick()?;
             refusal = self.controller.arm().err();
-            if refusal.is_none() {
-                break;
+            match refusal {
+                None => break,
+                Some(BusFault {
+                    cause: FaultCause::Drive(_),
+                    ..
+                }) if self.clears_faults => {
+                    // What hinders it is the next refusal.
+                    let _ = self.controller.clear();
+                }
+                Some(_) => {}
             }
         }
         if let Some(fault) = refusal {

@@ -229,8 +229,8 @@ impl LogReader {
         })?;
         let mut qd = quantity(1, ("qd", "rad_s"))?;
         let mut qdd = quantity(2, ("qdd", "rad_s2"))?;
+        let empty = Rows::named(path, &names, &topics)?.empty_columns()?;
         if qd.is_some() || qdd.is_some() {
-            let empty = Rows::named(path, &names, &topics)?.empty_columns()?;
             for (columns, kind) in [(&mut qd, "velocities"), (&mut qdd, "accelerations")] {
                 let is_empty =
                     |columns: &mut Columns| columns.iter().any(|&(place, _)| empty[place]);
@@ -254,6 +254,13 @@ impl LogReader {
             Some(tau) => tau,
             None => quantity(4, ("i", "a"))?.ok_or_else(|| rows.missing("tau1_nm"))?,
         };
+        if let Some((place, _)) = tau.iter().find(|(place, _)| empty[*place]) {
+            let name = &rows.header[*place];
+            let problem = format!(
+                "column {name} has no numbers in its first rows: record what the driver reports, torques or currents"
+            );
+            return Err(TableError::at(path, None, problem));
+        }
         if map.effort.unwrap_or(effort) != effort {
             let name = &rows.header[tau[0].0];
             let problem = format!(

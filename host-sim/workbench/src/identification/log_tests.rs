@@ -183,25 +183,31 @@ fn every_source_gives_the_same_rows() {
     ] {
         is_the_motion(&read_text(name, &text, &ur5()).expect(name).0, name);
     }
-    // A driver that has no velocities.
-    let bare = own();
-    let bare = bare.lines().enumerate().map(|(k, line)| {
-        let mut fields: Vec<&str> = line.split(',').collect();
-        fields[7..13]
-            .iter_mut()
-            .for_each(|field| *field = if k > 0 { "nan" } else { field });
-        fields.join(",") + "\n"
-    });
-    let (rows, notes) = read_text("bare.csv", &bare.collect::<String>(), &ur5()).expect("a log");
+    // A driver that has no velocities, or no torques.
+    let bare = |places: std::ops::Range<usize>| -> String {
+        let own = own();
+        let lines = own.lines().enumerate().map(|(k, line)| {
+            let mut fields: Vec<&str> = line.split(',').collect();
+            let without = fields[places.clone()].iter_mut().filter(|_| k > 0);
+            without.for_each(|field| *field = "nan");
+            fields.join(",") + "\n"
+        });
+        lines.collect()
+    };
+    let error = read_text("bare.csv", &bare(13..19), &ur5()).expect_err("no torques");
+    assert!(error.contains("column tau1_nm has no numbers"), "{error}");
+    let (rows, notes) = read_text("bare.csv", &bare(7..13), &ur5()).expect("a log");
     is_the_motion(&rows, "bare.csv");
     assert!(notes.contains("its velocities are no numbers"), "{notes}");
     let exported = ROS.map(|name| format!("/arm/joint_states/{name}"));
     let exported = exported.each_ref().map(String::as_str);
+    let old = FRANKA.map(|name| name.trim_start_matches("state."));
     let (ms, degrees) = ([1e-3, 1.0, 1.0, 1.0], [1.0, DEGREE, DEGREE, 1.0]);
     let other_joints = "joint shoulder_pan of the description is shoulder_pan_joint/position there";
     for (note, text) in [
         ("columns of rtde", table(RTDE, "timestamp", " ", [1.0; 4])),
         ("columns of franka", table(FRANKA, "time", ",", ms)),
+        ("columns of franka", table(old, "duration", ",", ms)),
         (other_joints, table(ROS, "t_s", ",", [1.0; 4])),
         ("columns of ros", table(exported, "__time", ",", [1.0; 4])),
         (

@@ -18,8 +18,9 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
 /// Schema of the measurements that this program writes.
 const MEASURED: &str = "foretorque.measured";
-/// Messages looked at to find the joints: a gripper may publish on the same topic.
+/// Messages looked at to find the joints, and as long as none is of the arm: a gripper may publish on the same topic.
 const LOOK_AHEAD: usize = 64;
+const LONGEST_LOOK_AHEAD: usize = 1 << 16;
 /// Bytes of a record that a file shorter than it may hold compressed; a longer one is a damaged length.
 const LONG_RECORD: usize = 1 << 26;
 /// Messages read ahead.
@@ -79,9 +80,13 @@ impl Messages {
         for name in &self.names {
             let place = state.names.iter().position(|own| own == name);
             let place = place.ok_or_else(|| broken(format!("no joint {name}")))?;
-            for (values, _) in state.values.iter().zip(self.kinds).filter(|own| own.1) {
-                let value = values.get(place);
-                let value = value.ok_or_else(|| broken(format!("joint {name} lacks a value")))?;
+            let quantities = state.values.iter().zip(["position", "velocity", "effort"]);
+            for ((values, quantity), _) in quantities.zip(self.kinds).filter(|own| own.1) {
+                let value = values.get(place).ok_or_else(|| {
+                    broken(format!(
+                        "joint {name} has no {quantity} there: record messages of one publisher alone, or without {quantity}"
+                    ))
+                })?;
                 row.push(*value);
             }
         }
@@ -203,11 +208,12 @@ fn begin(
             let _ = to.sender.send(Err(error));
         }
     });
-    let mut seen: Vec<JointState> = Vec::new();
-    while seen.len() < LOOK_AHEAD
-        && let Ok(state) = rest.recv()
-    {
-        seen.push(state?);
+    let (mut seen, mut alike): (Vec<JointState>, _) = (Vec::new(), false);
+    while seen.len() < LOOK_AHEAD || !alike && seen.len() < LONGEST_LOOK_AHEAD {
+        let Ok(state) = rest.recv() else { break };
+        let state = state?;
+        alike |= likeness(&state.names) > 0;
+        seen.push(state);
     }
     let rank = |names: &[String]| (likeness(names), names.len());
     let most = (0..seen.len()).max_by_key(|&place| rank(&seen[place].names));

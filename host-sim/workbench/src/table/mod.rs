@@ -140,7 +140,7 @@ const CONVERSIONS: [(&str, &str); 6] = [
     ),
     (
         "npy",
-        "python3 -c \"import pandas as p, numpy as n; p.DataFrame(n.load('F')).to_csv('F.csv', index=False)\"",
+        "python3 -c \"import pandas as p, numpy as n; p.DataFrame(n.load('F')).to_csv('F.csv', index=False, header=False)\", and name the columns by --names",
     ),
     (
         "npz",
@@ -311,6 +311,20 @@ SOUND | : no rows
         fs::write(&path, [comment, rows].concat()).expect("writes");
         let table = Rows::open(&path).expect("opens");
         assert_eq!(table.header, ["t_s", "a", "b"]);
+    }
+
+    #[test]
+    fn columns_that_are_named_by_their_places_take_other_names() {
+        let directory = tempdir().expect("creates");
+        let path = directory.path().join("places.csv");
+        let names = ["t_s", "a", "b"].map(str::to_owned);
+        for (begin, line) in [("", 1), ("sep=,\n0,1,2\n", 3), ("0,1,2\n", 2)] {
+            fs::write(&path, format!("{begin}0,1,3\n1,3,4\n")).expect("writes");
+            let mut table = Rows::named(&path, &names, &Topics::ANY).expect("opens");
+            assert_eq!(table.header, names);
+            assert!(table.advance().expect("a row"));
+            assert_eq!((table.line(), table.number(2).ok()), (line, Some(3.0)));
+        }
     }
 
     fn bag(name: &str) -> PathBuf {
@@ -535,6 +549,14 @@ SOUND | : no rows
         copy(&path, &other);
         let whole = rows(&bag("ur10.db3"), None).expect("reads");
         assert!(rows(&path, None).expect("reads") == whole);
+        let before = format!(
+            "ATTACH '{}' AS other; INSERT INTO messages \
+             SELECT theirs.id + 100000, own.id, timestamp / 2, data FROM other.messages theirs, main.topics own",
+            bag("panda.db3").display()
+        );
+        copy(&directory.path().join("one.db3"), &before);
+        let late = rows(&directory.path().join("one.db3"), None).expect("reads");
+        assert!(late == whole, "after 727 messages of others");
         let named = rows(&path, Some("/gripper/joint_states")).expect("reads");
         assert_eq!(named.1.len(), 727);
         let error = rows(&path, Some("/nowhere")).expect_err("no such topic");

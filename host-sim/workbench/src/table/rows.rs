@@ -91,13 +91,13 @@ impl<R: Read> Read for BoundedLines<R> {
 /// Bytes in which the header of a table is looked for.
 const BEGINNING: u64 = 1 << 18;
 
-/// Lines before a table that begin with `#` or are empty, the line behind these, and the bytes before that line.
+/// Lines before a table that begin with `#`, name the separator (`sep=;`) or are empty, the line behind these, and the bytes before that line.
 fn beginning(bytes: &[u8]) -> (Vec<String>, String, usize) {
     let (mut comments, mut length) = (Vec::new(), 0);
     for line in bytes.split_inclusive(|byte| *byte == b'\n') {
         let text = String::from_utf8_lossy(line);
         let text = text.trim_start_matches('\u{feff}').trim().to_owned();
-        if !text.is_empty() && !text.starts_with('#') {
+        if !text.is_empty() && !text.starts_with('#') && !text.starts_with("sep=") {
             return (comments, text, length);
         }
         comments.push(text);
@@ -202,9 +202,12 @@ impl Rows {
                 format!("no header row, {found}: name the columns by --names t_s,q1_rad,…");
             return Err(TableError::at(path, header_line, problem));
         }
+        // Columns that are named by their places, as in tables without names.
+        let is_place = |(place, field): (usize, &String)| *field == place.to_string();
+        let places = fields.len() > 2 && fields.iter().enumerate().all(is_place);
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
-            .has_headers(!numbers)
+            .has_headers(!numbers || places)
             .delimiter(separator)
             .trim(csv::Trim::Headers)
             .buffer_capacity(1 << 18)
@@ -339,10 +342,13 @@ impl Rows {
     /// Columns of which the first rows have no number: a driver may have none of an optional quantity. The table is read
     /// again for it by `open`.
     pub(crate) fn empty_columns(mut self) -> Result<Vec<bool>, TableError> {
-        let mut empty = vec![true; self.header.len()];
-        for _ in 0..FIRST_ROWS {
+        let mut empty = vec![false; self.header.len()];
+        for row in 0..FIRST_ROWS {
             if !self.advance()? {
                 break;
+            }
+            if row == 0 {
+                empty.fill(true);
             }
             for (column, empty) in empty.iter_mut().enumerate() {
                 *empty &= self.number(column).is_err();
@@ -397,7 +403,7 @@ impl Rows {
                 let name = &self.header[column];
                 let remedy = match t_s == previous_s {
                     _ if matches!(self.source, Source::Bag { .. }) => {
-                        "record the messages of one publisher alone"
+                        "record the messages of one publisher alone; for even rows give rate_hz in --columns-from FILE; where a clock begins anew, cut the bag"
                     }
                     true => self.remedies.same,
                     false => self.remedies.back,

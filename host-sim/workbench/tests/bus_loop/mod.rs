@@ -177,6 +177,33 @@ fn arming_that_fails_switches_every_drive_off_again() {
     assert!(failed > 10, "{failed}");
 }
 
+#[test]
+fn a_second_of_periods_is_a_second_of_the_simulated_arm() {
+    for rate_hz in [500.0, 540.0, 950.0] {
+        let (profile, path) = (profile(rate_hz), path(1.0));
+        let mut network = network(&profile, &path, PlantConfig::default(), Events::default());
+        for _ in 0..rate_hz as usize {
+            network.wait();
+        }
+        assert!((network.t_s() - 1.0).abs() < 1.1e-4, "{}", network.t_s());
+    }
+}
+
+#[test]
+fn a_fault_of_before_is_cleared_where_that_is_asked_for() {
+    let (profile, path) = (profile(500.0), path(10.0));
+    for clears in [false, true] {
+        let mut player = player(&profile, &path, true);
+        player.clears_faults = clears;
+        player.network.drives[2].state = DriveState::Fault(0xd);
+        let outcome = player.arm().map_err(|error| error.to_string());
+        match outcome {
+            Err(error) => assert!(!clears && error.ends_with("reports fault 0xd"), "{error}"),
+            Ok(_) => assert!(clears),
+        }
+    }
+}
+
 /// Watches every torque that reaches a drive.
 struct Observed {
     /// Torques that the loop has released, newest last.

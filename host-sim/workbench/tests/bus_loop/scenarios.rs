@@ -136,13 +136,13 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
         };
         over(&|_| Protocol::Moteus(moteus))
     };
-    let odrive = |torque_scale| {
+    let odrive = |torque_scale, polled| {
         let odrive = Odrive {
             mode: ControlMode::Position,
             velocity_scale: 1000.0,
             torque_scale,
             torque_scale_endpoint: 5,
-            polled: false,
+            polled,
         };
         over(&|_| Protocol::Odrive(odrive))
     };
@@ -165,7 +165,8 @@ fn families() -> Vec<(&'static str, Profile, Option<Profile>)> {
         ("robstride", over(&Protocol::RobStride), Some(weak_stride)),
         ("moteus int32", moteus(Resolution::Int32), None),
         ("moteus f32", moteus(Resolution::F32), None),
-        ("odrive", odrive(1000.0), Some(odrive(100.0))),
+        ("odrive", odrive(1000.0, false), Some(odrive(100.0, false))),
+        ("polled odrive", odrive(1000.0, true), None),
         ("cia402", cia402(20.0), Some(cia402(2.0))),
     ]
 }

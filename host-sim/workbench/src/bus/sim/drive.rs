@@ -154,6 +154,9 @@ impl SimulatedDrive {
             }
             Request::Order(Order::Report | Order::SetZero) => {}
         }
+        if !self.truth.profile.answers(frame) {
+            return answer;
+        }
         let noise: f64 = random.sample(StandardNormal);
         let reply = JointReply {
             position: Some(q as f32),

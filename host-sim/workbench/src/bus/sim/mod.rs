@@ -54,6 +54,8 @@ pub struct SimulatedNetwork<const N: usize> {
     random: ChaCha8Rng,
     steps: u64,
     period_s: f64,
+    /// Begin of the period that is waited for, s.
+    due_s: f64,
     braked: bool,
     interrupted: bool,
 }
@@ -91,6 +93,7 @@ impl<const N: usize> SimulatedNetwork<N> {
             random: ChaCha8Rng::seed_from_u64(seed),
             steps: 0,
             period_s: f64::from(config.period_s),
+            due_s: 0.0,
             braked: true,
             interrupted: false,
         }
@@ -167,13 +170,14 @@ impl<const N: usize> SimulatedNetwork<N> {
             self.lines[bus].free_s = end_s;
             self.lines[bus].waiting.pop_front();
             match sender {
-                None => self.reach_drives(bus, &frame),
+                None => self.reach_drives(bus, &frame, end_s),
                 Some(joint) => self.reach_host(bus, joint, frame),
             }
         }
     }
 
-    fn reach_drives(&mut self, bus: usize, frame: &Frame) {
+    /// A frame whose last bit was sent at `end_s`; the answers begin then.
+    fn reach_drives(&mut self, bus: usize, frame: &Frame, end_s: f64) {
         if self.bus_is_off(bus) {
             return;
         }
@@ -194,7 +198,7 @@ impl<const N: usize> SimulatedNetwork<N> {
             for _ in 0..copies {
                 let answer = self.drives[j].take(frame, q[j], &mut self.random);
                 for reply in answer.into_iter().rev() {
-                    self.lines[bus].waiting.push_front((now_s, Some(j), reply));
+                    self.lines[bus].waiting.push_front((end_s, Some(j), reply));
                 }
             }
         }
@@ -240,8 +244,9 @@ impl<const N: usize> Network for SimulatedNetwork<N> {
     }
 
     fn wait(&mut self) -> Duration {
-        let steps = (self.period_s / DRIVE_PERIOD_S).round() as usize;
-        for _ in 0..steps {
+        // Half a step of the drives early or late, and none of it for good.
+        self.due_s += self.period_s;
+        while self.t_s() + 0.5 * DRIVE_PERIOD_S < self.due_s {
             self.step();
         }
         Duration::ZERO

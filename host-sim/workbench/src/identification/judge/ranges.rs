@@ -91,7 +91,7 @@ pub(super) fn units(
             _ if few(seen) => WITHOUT_ROWS,
             true if currents => "are these mA (--units i=mA)?",
             true if strong.len() * 3 > extremes.len() => {
-                "is this mN·m or N·cm (--units tau=mNm or tau=Ncm)?"
+                "is this mN·m or N·cm (--units tau=mNm or tau=Ncm), or a share of the rated torque (effort = \"motor\" and gear_ratios in --columns-from FILE)?"
             }
             true => {
                 "those of the others are nearer to theirs; drive gain, unit, or a limit of the description (--torque-limits)?"
