@@ -10,6 +10,7 @@ use foretorque_link::write_key::{KEY_BYTES, WriteKey};
 use foretorque_workbench::arms;
 use foretorque_workbench::board::Described;
 use foretorque_workbench::files::{at, write_whole};
+use foretorque_workbench::report::page::figure;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::snapshot::aligned;
 use hex::FromHex as _;
@@ -118,7 +119,7 @@ fn differences(live: &ParameterBank, stored: &ParameterBank) -> Result<(), Failu
         // Columns that a bank does not have are zero.
         let before = stored.column(column.id).map_or(0.0, |column| column.value);
         let change = column.value - before;
-        let figures = [before, column.value, change].map(|figure| format!("{figure:.6}"));
+        let figures = [before, column.value, change].map(|value| figure(value.into(), 6));
         std::iter::once(column.id.to_string()).chain(figures)
     });
     show!("{}", aligned("column | stored (SI) | live | change", rows))?;
@@ -145,7 +146,7 @@ fn print(bank: &ParameterBank) -> Result<(), Failure> {
         Err(error) => show!("usable    no: {error}")?,
     }
     let columns = bank.columns.iter().map(|column| {
-        let figures = [column.value, column.deviation].map(|figure| format!("{figure:.6}"));
+        let figures = [column.value, column.deviation].map(|value| figure(value.into(), 6));
         std::iter::once(column.id.to_string()).chain(figures)
     });
     show!("\n{}", aligned("column | value (SI) | deviation", columns))?;

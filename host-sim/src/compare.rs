@@ -2,7 +2,7 @@ use super::terminal::show;
 use super::{Failure, bail, not_over, text_of, unusable};
 use clap::Args;
 use foretorque_workbench::files::write_whole;
-use foretorque_workbench::report::page::{Page, Section};
+use foretorque_workbench::report::page::{Page, Section, figure};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -124,7 +124,7 @@ fn row(key: &str, a: Option<&Value>, b: Option<&Value>) -> [String; 4] {
         None => "–".to_owned(),
         Some(Value::String(text)) => text.clone(),
         Some(value) => match value.as_f64().filter(|_| value.is_f64()) {
-            Some(number) => format!("{number:.6}"),
+            Some(number) => figure(number, 6),
             None => value.to_string(),
         },
     };

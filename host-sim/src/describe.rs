@@ -6,6 +6,7 @@ use super::{Failure, not_over};
 use clap::{Args, ValueEnum};
 use foretorque_workbench::dynamics::RigidBodies;
 use foretorque_workbench::generate::write_arm_module;
+use foretorque_workbench::report::page::figure;
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::urdf;
 use std::path::{Path, PathBuf};
@@ -46,7 +47,8 @@ impl Describe {
             let (name, limit) = (&joint.name, joint.limits.torque);
             if *weight > limit {
                 notes.push(format!(
-                    "joint '{name}': its torque limit of {limit} N·m is below the {weight:.0} N·m of the arm's own weight in some poses: correct it (--torque-limits)"
+                    "joint '{name}': its torque limit of {limit} N·m is below the {} N·m of the arm's own weight in some poses: correct it (--torque-limits)",
+                    figure(*weight, 0)
                 ));
             }
         }

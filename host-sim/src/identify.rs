@@ -12,7 +12,7 @@ use foretorque_workbench::identification::{
     Outcome, PrepareConfig, bank_of_fit, identify, judge, page, unexplained, with_gains,
 };
 use foretorque_workbench::report::ReportFiles;
-use foretorque_workbench::report::page::{or_dash, ratio};
+use foretorque_workbench::report::page::{figure, or_dash};
 use foretorque_workbench::robot::Robot;
 use foretorque_workbench::trajectory;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -171,11 +171,7 @@ fn config(arguments: &Arguments, robot: &Robot) -> Result<IdentifyConfig, Failur
         });
     }
     let fold_period_s = fold_period_s(arguments, robot)?;
-    // The data check judges the training logs alone.
-    let unseen = [&arguments.validate, &arguments.test];
-    let unseen = unseen.into_iter().filter(|_| !arguments.data_check);
-    let logs = std::iter::once(&arguments.logs).chain(unseen).flatten();
-    let logs: Vec<&Path> = logs.map(PathBuf::as_path).collect();
+    let logs: Vec<&Path> = arguments.logs.iter().map(PathBuf::as_path).collect();
     let rows = PrepareConfig::for_logs(&logs, robot)?;
     let methods = match &arguments.methods[..] {
         [] => METHODS.iter().map(|(method, _)| *method).collect(),
@@ -240,7 +236,8 @@ fn identify_arm(
     let mut findings = judgement.findings.clone();
     for log in arguments.validate.iter().chain(&arguments.test) {
         let logs = std::slice::from_ref(log);
-        let judgement = judge(robot, logs, &config.columns, &config.prepare)?;
+        let prepare = config.prepare.lowered(log, robot, &mut Vec::new())?;
+        let judgement = judge(robot, logs, &config.columns, &prepare)?;
         refuse(&judgement, logs)?;
         findings.extend(judgement.findings.into_iter().map(|mut finding| {
             finding.text = format!("{}: {}", log.display(), finding.text);
@@ -338,7 +335,7 @@ fn identify_arm(
     let floors = report.data_check.iter().flat_map(|check| &check.joints);
     let floors: Vec<_> = floors.map(|joint| Some(joint.noise_floor_nm)).collect();
     show!(
-        "torque error joint by joint, {}: {} N·m; description {}; noise alone, of the training logs, {}",
+        "torque error joint by joint, {}: {} N·m; description {}; scatter from row to row, of the training logs, {}",
         report.recommended,
         newton_metres(&report.headline_rmse_nm),
         newton_metres(&report.headline_description_rmse_nm),
@@ -386,6 +383,8 @@ const RESULTS: [&str; 5] = [
 
 /// Values joint by joint, N·m, separated by spaces.
 fn newton_metres(joints: &[Option<f64>]) -> String {
-    let shown = joints.iter().map(|value| ratio(*value));
+    let shown = joints
+        .iter()
+        .map(|value| or_dash(*value, |value| figure(value, 3)));
     shown.collect::<Vec<_>>().join(" ")
 }

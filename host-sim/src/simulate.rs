@@ -47,7 +47,7 @@ pub(super) struct MotionArguments {
     /// ends by itself
     #[arg(long, value_parser = duration)]
     duration_s: Option<f64>,
-    /// Bandwidth of the PD controller, Hz; at most 100
+    /// Bandwidth of the PD controller, Hz; at most 30
     #[arg(long, default_value_t = 6.0, value_parser = bandwidth)]
     pd_bandwidth_hz: f64,
     /// Standard deviation of the torque noise, share of the torque limit

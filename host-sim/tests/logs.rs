@@ -196,6 +196,10 @@ fn mistake(name: &str) -> Change {
         "swapped velocities" => {
             Box::new(|rows| rows.iter_mut().for_each(|row| row.swap(Q + 6, Q + 10)))
         }
+        "offset and row 5" => Box::new(|rows| {
+            rows.iter_mut().for_each(|row| row[TAU + 4] += 32.0);
+            rows[1500][TAU + 4] = 1e3;
+        }),
         "wrong torques" => Box::new(|rows| {
             let wrong = rows.iter_mut().skip(500).step_by(500).take(3);
             wrong.for_each(|row| row[TAU + 2] = 9999.0);
@@ -252,6 +256,7 @@ wrong position | q3 jumps at
 wrong torque | tau1 reaches 1000000.0 N·m at 7.500 s, its limit is 150 N·m: delete such rows
 torques for positions | positions and torques are swapped
 wrong torques | tau3 reaches 9999.0 N·m at 2.500 s, its limit is 150 N·m: delete such rows
+offset and row 5 | tau5 reaches 1000.0 N·m at 7.500 s, its limit is 28 N·m: those of the others
 tenfold torque 4 | torque of joint 4 is
 thousandfold torque 3 | those of the others are nearer to theirs; drive gain, unit, or a limit of the description (--torque-limits)?
 late | ms behind the positions
@@ -312,6 +317,18 @@ noise | are noise: they follow neither the motion nor gravity";
         "no bank: no board takes the fitted parameters: torque of joint",
     );
     assert!(!here.join("forced/parameters.bank").exists());
+    // A delay is that of its log, whatever the rate of the last one.
+    here.write("bad.csv", planted(&good, mistake("late")));
+    let every_other = good.lines().take(1).chain(good.lines().skip(1).step_by(2));
+    let every_other: Vec<&str> = every_other.collect();
+    here.write("slow.csv", every_other.join("\n") + "\n");
+    for logs in [
+        "--log bad.csv --log slow.csv",
+        "--log slow.csv --log bad.csv",
+    ] {
+        let check = format!("identify --robot ur5 {logs} --data-check");
+        here.refused(&check, "ms behind the positions");
+    }
     // The filters of a data check are those of the training logs.
     let alone = "identify --robot ur5 --log good.csv --validate bad.csv --data-check";
     here.write("bad.csv", planted(&good, mistake("milliseconds")));

@@ -88,7 +88,7 @@ pub fn identify(
     config: &IdentifyConfig,
     progress: Progress<'_>,
 ) -> Result<Outcome, IdentifyError> {
-    for path in logs.iter().chain(validate).chain(&config.test) {
+    for path in logs {
         config.prepare.check(path, robot)?;
     }
     let (on_board, left_out) = config.columns.on_board();

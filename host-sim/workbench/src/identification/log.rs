@@ -59,6 +59,7 @@ fn of_field(text: &str) -> &'static str {
         true if text.contains(':') => {
             "write seconds, with pandas (t - t[0]).dt.total_seconds(), or give rate_hz in --columns-from FILE"
         }
+        true if text.contains(',') => "separate the columns by semicolons, or write decimal points",
         true => "",
     }
 }

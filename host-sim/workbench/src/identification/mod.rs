@@ -63,7 +63,9 @@ pub enum IdentifyError {
     #[error("the excitation is rank deficient ({0} of {1}): {text}", text = unseen(.2))]
     RankDeficient(usize, usize, Vec<String>),
     /// A matrix that must be positive definite is not.
-    #[error("the normal equations cannot be solved")]
+    #[error(
+        "the normal equations cannot be solved: a joint hardly moves; add a log in which it does, or take fewer --columns"
+    )]
     Unsolvable,
     /// A log or an option that cannot be used.
     #[error(transparent)]

@@ -3,7 +3,7 @@
 use super::record::Report;
 use crate::dynamics::PerJoint;
 use crate::metrics::root_mean_square;
-use crate::report::page::{Page, Section, or_dash};
+use crate::report::page::{Page, Section, figure, or_dash};
 use crate::report::plot::{Curve, Panel, PlotColor};
 
 fn percent(ratio: f64) -> String {
@@ -27,7 +27,7 @@ pub fn page(report: &Report, trace: &[(f64, PerJoint<f64>, PerJoint<f64>)]) -> P
         ),
     );
     let newton_metres = |errors: &[Option<f64>]| {
-        let two_digits = |error: &Option<f64>| or_dash(*error, |error| format!("{error:.2}"));
+        let two_digits = |error: &Option<f64>| or_dash(*error, |error| figure(error, 2));
         let errors: Vec<String> = errors.iter().map(two_digits).collect();
         errors.join(" · ") + " N·m"
     };
@@ -117,14 +117,14 @@ fn file_section(report: &Report, file: &str) -> Section {
             }),
         ];
         let rmse = record.rmse_moving_nm.iter();
-        row.extend(rmse.map(|rmse| or_dash(*rmse, |rmse| format!("{rmse:.3}"))));
+        row.extend(rmse.map(|rmse| or_dash(*rmse, |rmse| figure(rmse, 3))));
         row.push(or_dash(record.cramer_rao_nrmse_moving_ratio, |bound| {
             format!("{:.3} %", 100.0 * bound)
         }));
         Some(row)
     });
     let floor = report.data_check.iter().map(|check| {
-        let name = ["noise of the training logs alone", "", ""].map(str::to_owned);
+        let name = ["scatter from row to row, training logs", "", ""].map(str::to_owned);
         let floors = check.joints.iter().map(|joint| joint.noise_floor_nm);
         let floors = floors.map(|floor| format!("{floor:.3}"));
         let cells = name.into_iter().chain(floors);
@@ -226,11 +226,13 @@ fn parameters_section(report: &Report) -> Section {
         parameters.map(|parameter| {
             [
                 parameter.name.clone(),
-                format!("{:.5}", parameter.value),
-                format!("{:.5}", parameter.std),
-                or_dash(parameter.ci95, |[low, high]| format!("{low:.5} … {high:.5}")),
-                or_dash(parameter.description, |value| format!("{value:.5}")),
-                or_dash(parameter.truth, |truth| format!("{truth:.5}")),
+                figure(parameter.value, 5),
+                figure(parameter.std, 5),
+                or_dash(parameter.ci95, |interval| {
+                    interval.map(|end| figure(end, 5)).join(" … ")
+                }),
+                or_dash(parameter.description, |value| figure(value, 5)),
+                or_dash(parameter.truth, |truth| figure(truth, 5)),
                 parameter.unit.clone(),
             ]
         }),

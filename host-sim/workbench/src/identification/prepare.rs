@@ -46,6 +46,9 @@ pub(super) fn other_unit_of_time(period_s: f64) -> String {
     }
 }
 
+/// Share of the rate of the rows that the cut-off of the motion keeps below.
+const MOTION_SHARE: f64 = 0.4;
+
 impl PrepareConfig {
     /// A joint slower than this stands still, rad/s, by default.
     pub const STILL_RAD_S: f64 = MOVING_RAD_S;
@@ -54,17 +57,44 @@ impl PrepareConfig {
     ///
     /// Errors: the log's.
     pub fn for_logs(logs: &[&Path], robot: &Robot) -> Result<Self, IdentifyError> {
-        let (mut motion_hz, mut torque_hz) = (40.0_f64, 20.0_f64);
+        let mut motion_hz = 40.0_f64;
         for path in logs {
             let log = WholeLog::open(path, robot)?;
             let period_s = log.period_s();
-            let motion = noisiest_cut_off(&log, robot).min(0.4 / period_s);
-            (motion_hz, torque_hz) = (motion_hz.min(motion), torque_hz.min(0.2 / period_s));
+            let motion = noisiest_cut_off(&log, robot).min(MOTION_SHARE / period_s);
+            motion_hz = motion_hz.min(motion);
         }
         Ok(Self {
             motion_hz,
-            torque_hz: Some(torque_hz.min(0.5 * motion_hz)),
+            torque_hz: Some(0.5 * motion_hz),
             still_rad_s: Self::STILL_RAD_S,
+        })
+    }
+
+    /// These filters, or lower ones where the rows of an unseen log are too far apart for them; `notes` receives that.
+    ///
+    /// Errors: the log's.
+    pub fn lowered(
+        &self,
+        path: &Path,
+        robot: &Robot,
+        notes: &mut Vec<String>,
+    ) -> Result<Self, IdentifyError> {
+        let period_s = WholeLog::open(path, robot)?.period_s();
+        let bears = |hz: f64| Butterworth::new(hz, period_s).is_some();
+        if bears(self.motion_hz) && self.torque_hz.is_none_or(bears) {
+            return Ok(self.clone());
+        }
+        let motion_hz = self.motion_hz.min(MOTION_SHARE / period_s);
+        notes.push(format!(
+            "{}: filtered at {motion_hz:.4} Hz, for its rows are {:.1} ms apart",
+            path.display(),
+            1e3 * period_s
+        ));
+        Ok(Self {
+            motion_hz,
+            torque_hz: self.torque_hz.map(|hz| hz.min(0.5 * motion_hz)),
+            ..*self
         })
     }
 
@@ -372,6 +402,28 @@ impl Prepared {
 mod tests {
     use super::super::log_tests::{first_joints, log_of};
     use super::*;
+
+    #[test]
+    fn filters_are_lowered_for_an_unseen_log_that_does_not_bear_them() {
+        let config = PrepareConfig {
+            motion_hz: 40.0,
+            torque_hz: Some(20.0),
+            still_rad_s: 0.05,
+        };
+        for (period_s, wanted) in [(4e-3, (40.0, 20.0)), (40e-3, (10.0, 5.0))] {
+            let rows = (0..100).map(|k| {
+                let t = period_s * f64::from(k);
+                [t, (3.0 * t).sin(), 1.0]
+            });
+            let (_here, path) = log_of("t_s,q1_rad,tau1_nm", rows);
+            let mut notes = Vec::new();
+            let lowered = config.lowered(&path, &first_joints(1), &mut notes);
+            let lowered = lowered.expect("a log");
+            let found = (lowered.motion_hz, lowered.torque_hz.expect("a filter"));
+            assert!((found.0 - wanted.0).abs() + (found.1 - wanted.1).abs() < 1e-6);
+            assert_eq!(notes.len(), usize::from(wanted.0 < 40.0));
+        }
+    }
 
     #[test]
     fn velocities_that_a_driver_has_delayed_are_derived() {

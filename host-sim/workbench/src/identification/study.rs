@@ -117,6 +117,7 @@ impl Study<'_> {
         for path in logs {
             (self.progress)(&format!("validating {}", path.display()));
             let mut scores = FileScores::new(layout, candidates.len());
+            let prepare = &prepare.lowered(path, robot, notes)?;
             for_each_prepared(path, robot, layout, prepare, notes, &mut |own, prepared| {
                 scores.add(layout, own, &prepared, &candidates);
             })?;

@@ -250,7 +250,12 @@ pub(super) fn split(
         let data = TrainingData::of(layout, rest.collect());
         let moves = own.iter().any(|row| row.moving.contains(&true));
         if moves && data.sums.all.check_rank(layout).is_ok() {
-            add(&solve_all(problem, &data, &|_| ())?, own);
+            match solve_all(problem, &data, &|_| ()) {
+                Ok(results) => add(&results, own),
+                // It shows a parameter all but alone.
+                Err(IdentifyError::Unsolvable) => continue,
+                Err(other) => return Err(other),
+            }
             held_out = true;
         }
     }

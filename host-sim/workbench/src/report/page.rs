@@ -200,6 +200,19 @@ pub fn percent(ratio: f64) -> String {
     format!("{:.1} %", 100.0 * ratio)
 }
 
+/// A figure with so many decimals, more where two digits need them.
+pub fn figure(value: f64, decimals: usize) -> String {
+    let needed = 1.0 - value.abs().log10().floor();
+    // Zero needs infinitely many, and a billionth counts as zero.
+    let needed = if needed.is_finite() {
+        needed.clamp(0.0, 9.0)
+    } else {
+        0.0
+    };
+    let decimals = decimals.max(needed as usize);
+    format!("{value:.decimals$}")
+}
+
 /// `value` as `written`, or a dash if there is none.
 pub fn or_dash<T>(value: Option<T>, written: impl FnOnce(T) -> String) -> String {
     value.map_or("–".to_owned(), written)
@@ -234,6 +247,21 @@ const STYLE: &str = include_str!("style.css");
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_small_figure_has_two_digits() {
+        for (value, decimals, wanted) in [
+            (0.25, 2, "0.25"),
+            (-0.034, 2, "-0.034"),
+            (6.4e-5, 2, "0.000064"),
+            (12.3456, 3, "12.346"),
+            (0.03, 0, "0.030"),
+            (0.0, 2, "0.00"),
+            (1e-20, 2, "0.000000000"),
+        ] {
+            assert_eq!(figure(value, decimals), wanted);
+        }
+    }
 
     #[test]
     fn a_page_fetches_nothing_and_escapes_its_text() {

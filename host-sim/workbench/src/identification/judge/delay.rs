@@ -278,7 +278,13 @@ pub(super) fn delay(judgement: &mut Judgement, layout: &Layout, delays: &[Delay]
     if deviation > LONGEST_S {
         return;
     }
-    judgement.delay_s = Some((mean, deviation));
+    // Of logs with several periods, the longest.
+    if judgement
+        .delay_s
+        .is_none_or(|(other, _)| other.abs() < mean.abs())
+    {
+        judgement.delay_s = Some((mean, deviation));
+    }
     let clear = mean.abs() > CLEAR * deviation;
     if clear && mean.abs() > DELAY_S.1 {
         let refuses = mean.abs() > DELAY_S.0;

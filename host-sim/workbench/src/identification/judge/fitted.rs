@@ -236,6 +236,8 @@ pub(super) struct Flange {
     /// Mass and its standard deviation, kg.
     mass: f64,
     deviation: f64,
+    /// Mass of all links, kg.
+    links: f64,
     /// Share of the difference of fit and description that it explains.
     share: f64,
     /// Scale of all torques in its place, the scale's deviation, and the share that it explains.
@@ -243,7 +245,8 @@ pub(super) struct Flange {
 }
 
 impl Flange {
-    const LEAST_KG: f64 = 0.3;
+    /// Mass of a body that is no error of the description, share of the mass of all links: 0.3 kg on a UR5.
+    const LEAST_SHARE: f64 = 0.016;
 
     /// The description's own uncertainty does not explain it. A spring in one joint makes a common scale certain that explains
     /// little: a scale has to explain most, too.
@@ -251,7 +254,10 @@ impl Flange {
         let [scale, deviation, _] = self.scale;
         match self.is_scale() {
             true => (scale - 1.0).abs() > DEVIATIONS * deviation && self.is_most(),
-            false => self.mass > Self::LEAST_KG && self.mass > DEVIATIONS * self.deviation,
+            false => {
+                let least = (Self::LEAST_SHARE * self.links).max(DEVIATIONS * self.deviation);
+                self.mass > least
+            }
         }
     }
 
@@ -363,6 +369,7 @@ pub(super) fn payload(robot: &Robot, layout: &Layout, fit: &Fit) -> Option<Flang
     Some(Flange {
         mass,
         deviation,
+        links: robot.joints.iter().map(|joint| joint.link.mass).sum(),
         share: found.dot(&moment) / all,
         scale: [
             1.0 + along / size,
@@ -410,6 +417,39 @@ mod tests {
         let flange = payload(&robot, &layout, &fit).expect("a payload");
         assert!((flange.mass - 20.0).abs() < 0.1, "{}", flange.mass);
         assert!(flange.is_certain(), "{}", flange.deviation);
+    }
+
+    #[test]
+    fn a_payload_is_found_on_an_arm_of_half_a_kilogram() {
+        const SCALE: f64 = 0.03;
+        let mut robot = Robot::load("ur5").expect("built in");
+        for joint in &mut robot.joints {
+            joint.link.mass *= SCALE;
+            joint.link.inertia_com *= SCALE;
+            joint.limits.torque *= SCALE;
+            joint.drive.rotor_inertia *= SCALE;
+        }
+        let layout = Layout::new(&robot, &ColumnSet::plain());
+        for (mass, found) in [(3.0, true), (0.2, false)] {
+            let mut loaded = robot.clone();
+            let last = &mut loaded.joints[5].link;
+            *last = Link::lumped(&[*last, at_flange(&robot, SCALE * mass)]).expect("a body");
+            let theta = description(&loaded, &layout);
+            let fit = Fit {
+                covariance: DMatrix::identity(theta.len(), theta.len()) * 1e-12,
+                theta,
+                sigma: crate::dynamics::PerJoint::repeat(6, 1.0),
+                iterations: 1,
+            };
+            let flange = payload(&robot, &layout, &fit).expect("a payload");
+            assert_eq!(
+                flange.is_certain(),
+                found,
+                "{} ± {}",
+                flange.mass,
+                flange.deviation
+            );
+        }
     }
 
     #[test]

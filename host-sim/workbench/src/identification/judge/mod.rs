@@ -192,10 +192,11 @@ pub fn judge(
     }
     let mut sample = Thinned::new(ROWS);
     let mut sums = NormalEquations::new(&layout, 0);
-    let mut delays: Vec<Delay> = (0..joints).map(|_| Delay::default()).collect();
+    // Delays are counted in rows, so those of each period are apart.
+    let mut delays: Vec<(f64, Vec<Delay>)> = Vec::new();
     let across = across(robot);
-    // The largest gain of noise; delays are counted in rows of the last log.
-    let (mut gain, period_s) = (0.0_f64, judgement.period_s);
+    // The largest gain of noise.
+    let mut gain = 0.0_f64;
     for path in logs {
         for_each_prepared(
             path,
@@ -208,7 +209,14 @@ pub fn judge(
                 let stride = own.stride();
                 let fast = (0..joints).map(|j| fast_rows(&prepared.states, j, own.smear()));
                 let fast: Vec<Vec<bool>> = fast.collect();
-                let counts = (own.period_s / period_s - 1.0).abs() < SAME_PERIOD;
+                let same = |other: f64| (own.period_s / other - 1.0).abs() < SAME_PERIOD;
+                let place = delays.iter().position(|(other, _)| same(*other));
+                let place = place.unwrap_or(delays.len());
+                if place == delays.len() {
+                    let none = (0..joints).map(|_| Delay::default());
+                    delays.push((own.period_s, none.collect()));
+                }
+                let (period_s, delays) = &mut delays[place];
                 for row in prepared.core.clone().step_by(stride) {
                     let tau = PerJoint::from(&prepared.tau[row * joints..][..joints]);
                     let state = prepared.states[row];
@@ -225,14 +233,12 @@ pub fn judge(
                             sums.joints[joint].add(x, &[tau[joint]]);
                         }
                         let tau = |row: usize| prepared.tau.get(row * joints + joint).copied();
-                        if counts {
-                            delays[joint].add(
-                                (x, turned.each_ref().map(|tau| tau[joint])),
-                                (qd, fast[joint][row]),
-                                (row, stride, period_s),
-                                &tau,
-                            );
-                        }
+                        delays[joint].add(
+                            (x, turned.each_ref().map(|tau| tau[joint])),
+                            (qd, fast[joint][row]),
+                            (row, stride, *period_s),
+                            &tau,
+                        );
                     }
                 }
             },
@@ -257,7 +263,9 @@ pub fn judge(
     let fits = (&fitted as &_, &payload as &_);
     compare(&mut judgement, robot, &sample.kept, &extremes, gain, fits);
     if !judgement.refuses() {
-        delay(&mut judgement, &layout, &delays, period_s);
+        for (period_s, delays) in &delays {
+            delay(&mut judgement, &layout, delays, *period_s);
+        }
     }
     Ok(judgement)
 }

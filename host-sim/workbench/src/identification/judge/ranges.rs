@@ -5,6 +5,7 @@ use super::Judgement;
 use super::sums::{BEYOND, CUT_SHARE, Extremes, Rate};
 use crate::dynamics::RigidBodies;
 use crate::identification::log::{Roughness, SWAPPED, WITHOUT_ROWS};
+use crate::report::page::figure;
 use crate::robot::{Joint, Robot};
 
 /// Largest torque over its limit of a log that uses an arm: its drives carry at least its own weight.
@@ -86,9 +87,10 @@ pub(super) fn units(
         let weight = RigidBodies::new(robot).largest_gravity_torques()[*number];
         let unit = match thousandth {
             _ if weight > joint.limits.torque => &format!(
-                "below the {weight:.0} N·m of the arm's own weight: correct it (--torque-limits)"
+                "below the {} N·m of the arm's own weight: correct it (--torque-limits)",
+                figure(weight, 0)
             ),
-            _ if few(seen) => WITHOUT_ROWS,
+            _ if few(seen) && seen.near_limit[2] <= FEW * seen.rows => WITHOUT_ROWS,
             true if currents => "are these mA (--units i=mA)?",
             true if strong.len() * 3 > extremes.len() => {
                 "is this mN·m or N·cm (--units tau=mNm or tau=Ncm), or a share of the rated torque (effort = \"motor\" and gear_ratios in --columns-from FILE)?"
@@ -101,9 +103,9 @@ pub(super) fn units(
             }
         };
         let text = format!(
-            "tau{} reaches {:.1} N·m at {:.3} s, its limit is {} N·m: {unit}",
+            "tau{} reaches {} N·m at {:.3} s, its limit is {} N·m: {unit}",
             number + 1,
-            seen.torque,
+            figure(seen.torque, 1),
             seen.strongest_s,
             joint.limits.torque
         );
