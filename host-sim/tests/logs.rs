@@ -319,9 +319,9 @@ noise | are noise: they follow neither the motion nor gravity";
     assert!(!here.join("forced/parameters.bank").exists());
     // A delay is that of its log, whatever the rate of the last one.
     here.write("bad.csv", planted(&good, mistake("late")));
-    let every_other = good.lines().take(1).chain(good.lines().skip(1).step_by(2));
-    let every_other: Vec<&str> = every_other.collect();
-    here.write("slow.csv", every_other.join("\n") + "\n");
+    let halved = good.lines().take(1).chain(good.lines().skip(1).step_by(2));
+    let halved: Vec<&str> = halved.collect();
+    here.write("slow.csv", halved.join("\n") + "\n");
     for logs in [
         "--log bad.csv --log slow.csv",
         "--log slow.csv --log bad.csv",

@@ -89,10 +89,6 @@ impl Codec<'_> {
                 // Input mode 1: pass-through.
                 self.send(command::MODE, &[control, 0, 0, 0, 1, 0, 0, 0], frames);
                 self.send(command::STATE, &state(CLOSED_LOOP), frames);
-                // It answers neither of them.
-                if self.scales.polled {
-                    self.poll(frames);
-                }
             }
             Order::Disable => self.send(command::STATE, &state(IDLE), frames),
             Order::ClearFault => self.send(command::CLEAR, &[0], frames),
@@ -105,6 +101,10 @@ impl Codec<'_> {
                 self.send(command::READ, &[0, low, high, 0, 0, 0, 0, 0], frames);
             }
             Order::ReadScale(_) => return false,
+        }
+        // It answers none of the two, and is not to be taken for silent.
+        if self.scales.polled && matches!(order, Order::Enable | Order::Disable) {
+            self.poll(frames);
         }
         true
     }

@@ -257,7 +257,6 @@ impl<A: Arm<N, P>, W: Network, const N: usize, const P: usize> Commissioning<A, 
                 let hosts: Vec<u16> = hosts.chain([0, id | 0x10]).collect();
                 let mut frames = Frames::new();
                 drive.order(Order::Disable, &mut frames);
-                drive.order(Order::Report, &mut frames);
                 for frame in &frames {
                     self.player.network.send(bus, frame)?;
                 }

@@ -83,7 +83,7 @@ impl PrepareConfig {
         let period_s = WholeLog::open(path, robot)?.period_s();
         let bears = |hz: f64| Butterworth::new(hz, period_s).is_some();
         if bears(self.motion_hz) && self.torque_hz.is_none_or(bears) {
-            return Ok(self.clone());
+            return Ok(*self);
         }
         let motion_hz = self.motion_hz.min(MOTION_SHARE / period_s);
         notes.push(format!(
