@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail, ensure};
 
@@ -89,8 +89,9 @@ fn starts(elf: &Path) -> Result<()> {
             last_message = line;
         }
     }
-    // Fails where the emulator has ended.
-    let _ = emulator.kill();
+    // `timeout` hands SIGTERM on to the emulator; killed, it would leave it behind. Fails where both have ended.
+    let end = format!("kill {}", emulator.id());
+    Command::new("sh").args(["-c", &end]).status()?;
     emulator.wait()?;
     let elf = elf.display();
     ensure!(
