@@ -24,7 +24,7 @@
 
 enum { VERSION = 4, MOST_JOINTS = 8, MOST_BYTES = 300, PERIOD_US = 1000 };
 enum { HELLO = 0, SAMPLE = 1, CONFIGURE = 3, ARM = 10, DISARM = 11 }; /* host to board */
-enum { TORQUE = 1, ACK = 4, NACK = 5 };                               /* board to host */
+enum { TORQUE = 1, FULL_TORQUE = 2, ACK = 4, NACK = 5, EXCITED = 11 }; /* board to host */
 enum { DISARMED = 0, ARMED = 1, RAMP_DOWN = 2 };                      /* safety states */
 enum { UNKNOWN = -128 }; /* temperature of a motor without a sensor, degrees C */
 
@@ -33,6 +33,8 @@ static const double OPENING_S = 2.0; /* wait for an answer while no torque may f
 static const double SILENCE_S = 0.05;
 /* Wait for one torque, after which the next sample follows: a board holds its torque that long. */
 static const double REPLY_S = 0.01;
+/* Share of the time that late periods may leave out. */
+static const double LEFT_OUT = 0.05;
 
 struct board {
     int port;
@@ -43,6 +45,7 @@ struct board {
     uint8_t period;
     uint8_t waiting[MOST_BYTES]; /* bytes of a frame that has not ended */
     size_t count;
+    size_t length; /* of the content of the last answer */
     int armed;       /* torque may flow */
     double answered; /* time of the last answer, s */
     long lost;       /* samples without a reply */
@@ -196,8 +199,11 @@ static const uint8_t *answer(struct board *board, uint8_t wanted, double wait_s)
                     length > 5 ? frame[5] : 0);
             exit(1);
         }
+        if (wanted == TORQUE && (frame[3] == FULL_TORQUE || frame[3] == EXCITED))
+            fail("the board answers in full, or plays or holds an excitation: reset it");
         if (frame[3] == wanted) {
             board->answered = seconds();
+            board->length = length - 4;
             return frame + 4;
         }
     }
@@ -211,13 +217,20 @@ static void board_open(struct board *board, const char *port) {
     if (board->port < 0 || tcgetattr(board->port, &settings)) fail_at(port);
     cfmakeraw(&settings);
     cfsetspeed(&settings, B2000000);
+    settings.c_cflag = (settings.c_cflag | CLOCAL | CREAD) & ~(tcflag_t)CSTOPB; /* three wires, one stop bit */
+#ifdef CRTSCTS
+    settings.c_cflag &= ~(tcflag_t)CRTSCTS;
+#endif
     tcsetattr(board->port, TCSANOW, &settings);
     tcflush(board->port, TCIOFLUSH);
     /* It ends a frame that a host before has begun. */
     uint8_t end = 0, hello = HELLO;
     if (write(board->port, &end, 1) != 1) fail("the port is gone");
     post(board, &hello, 1);
-    const uint8_t *content = answer(board, HELLO, OPENING_S);
+    const uint8_t *content = answer(board, HELLO, OPENING_S), *last = content + board->length;
+    /* Behind two names of up to 255 bytes each. */
+    if (content + 8 + content[4] > last || content + 23 + content[4] + content[7 + content[4]] > last)
+        fail("the hello of the board is too short");
     size_t length = content[4] < sizeof board->arm - 1 ? content[4] : sizeof board->arm - 1;
     memcpy(board->arm, content + 5, length);
     board->joints = content[5 + content[4]];
@@ -227,11 +240,12 @@ static void board_open(struct board *board, const char *port) {
     memcpy(board->configuration, content, sizeof board->configuration);
 }
 
-/* Sets the period of the samples where it is another one. Only while disarmed and with learning off. */
+/* Sets the period of the samples, and short replies, where they differ. Only while disarmed and with learning off. */
 static void board_configure(struct board *board, uint32_t period_us) {
-    if (little(board->configuration, 4) == period_us) return;
+    if (little(board->configuration, 4) == period_us && board->configuration[5] == 0) return;
     uint8_t message[9] = {CONFIGURE};
     put(board->configuration, period_us, 4);
+    board->configuration[5] = 0;
     memcpy(message + 1, board->configuration, sizeof board->configuration);
     post(board, message, sizeof message);
     answer(board, ACK, OPENING_S);
@@ -263,6 +277,7 @@ static int board_sample(struct board *board, const struct sample *sample, float 
         board->lost++;
         return 0;
     }
+    if (board->length < 8 + 4 * (size_t)n) fail("the torque of the board is too short");
     board->tick = little(content, 4);
     board->flags = (uint16_t)little(content + 4, 2);
     board->safety = content[6];
@@ -380,6 +395,9 @@ int main(int count, char **arguments) {
     for (int k = 0; k < 20; k++) board_sample(&board, &sample, torque); /* the board sees where the arm stands */
     signal(SIGINT, interrupt);
     signal(SIGTERM, interrupt);
+    signal(SIGHUP, interrupt);
+    signal(SIGQUIT, interrupt);
+    signal(SIGTSTP, SIG_IGN); /* a program that stands still would leave the torque at the drives */
     hold = sample;
     held_joints = n;
     atexit(let_go);
@@ -395,13 +413,24 @@ int main(int count, char **arguments) {
     columns(log, "tau", "nm", n);
     columns(log, "feed_forward", "nm", n);
     fprintf(log, ",flags\n");
-    double begin = seconds();
+    double begin = seconds(), left_out_s = 0.0;
     long ticks = lround(duration_s / period_s);
     for (long tick = 0; tick < ticks && !interrupted; tick++) {
-        double t_s = (double)tick * period_s, early_s = begin + t_s - seconds();
-        if (early_s > 0.0) usleep((useconds_t)(1e6 * early_s));
+        double path_s = (double)tick * period_s, t_s = path_s + left_out_s, late_s = seconds() - begin - t_s;
+        if (late_s < 0.0) usleep((useconds_t)(-1e6 * late_s));
+        if (late_s >= period_s) {
+            /* Missed periods are left out: the motion goes on from where it is, and samples never come in a burst. */
+            t_s += late_s;
+            left_out_s += late_s;
+            board.period = (uint8_t)((board.period + (long)(late_s / period_s)) % 32);
+            if (left_out_s > LEFT_OUT * duration_s) {
+                disarm(&board);
+                fprintf(stderr, "error: link or program are too slow: %.3f of %.3f s were left out\n", left_out_s, t_s);
+                return 1;
+            }
+        }
         drives_read(&sample);
-        motion(t_s, start, n, &sample);
+        motion(path_s, start, n, &sample);
         if (!board_sample(&board, &sample, torque)) {
             if (silent(&board)) disarm(&board);
             continue; /* the drives go on with their last command */

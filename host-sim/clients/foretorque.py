@@ -24,6 +24,7 @@ ARMED, RAMP_DOWN = 1, 2  # safety states in which torque flows
 UNKNOWN = -128  # temperature of a motor without a sensor
 SILENCE_S = 0.05  # silence of the board that ends the torque, as that of the host does on the board (docs/safety.md)
 REPLY_S = 0.01  # wait for one torque, after which the next sample follows: a board holds its torque that long
+LEFT_OUT = 0.05  # share of the time that late periods may leave out
 
 
 class Refused(Exception):
@@ -56,7 +57,7 @@ def scaled(values, size, bits):
     """Integers of `size` bytes in units of 2^-bits, saturated; NaN is the most negative one."""
     most = (1 << (8 * size - 1)) - 1
     codes = (
-        -most - 1 if math.isnan(x) else max(-most, min(most, math.floor(x * (1 << bits) + 0.5)))
+        -most - 1 if math.isnan(x) else math.floor(max(-most, min(most, x * (1 << bits))) + 0.5)
         for x in values
     )
     return b"".join(code.to_bytes(size, "little", signed=True) for code in codes)
@@ -70,6 +71,8 @@ class Board:
         try:
             tty.setraw(self.port)
             settings = termios.tcgetattr(self.port)
+            lines = termios.CLOCAL | termios.CREAD  # three wires, one stop bit
+            settings[2] = (settings[2] | lines) & ~(termios.CRTSCTS | termios.CSTOPB)
             settings[4] = settings[5] = termios.B2000000
             termios.tcsetattr(self.port, termios.TCSANOW, settings)
         except termios.error as error:
@@ -129,6 +132,8 @@ class Board:
                 self.telemetry.append((tick, fields, content[-length:]))
             elif sequence == self.sequence and tag == 5:
                 raise Refused(f"the board refused: {content.hex()} (docs/protocol.md, Nack reasons)")
+            elif sequence == self.sequence and answer == 1 and tag in (2, 11):
+                raise RuntimeError("the board answers in full, or plays or holds an excitation: reset it")
             elif sequence == self.sequence and tag == answer:
                 self.answered = time.monotonic()
                 return content
@@ -144,7 +149,8 @@ class Board:
         measured_q, measured_tau, celsius = measured or ([0.0] * self.joints,) * 2 + ([None] * self.joints,)
         flags = int(measured is not None) | self.period << 3
         motor = celsius[self.period % self.joints]
-        motor = UNKNOWN if motor is None else max(-127, min(math.ceil(motor), 127))
+        known = motor is not None and not math.isnan(motor)
+        motor = math.ceil(max(-127, min(motor, 127))) if known else UNKNOWN
         self.period = (self.period + 1) % 32
         q, qd, qdd = desired
         motion = scaled(q, 3, 20) + scaled(qd, 3, 18) + scaled(qdd, 2, 9)
@@ -161,11 +167,12 @@ class Board:
         return list(struct.unpack_from(f"<{self.joints}f", reply, 8))
 
     def configure(self, period_s):
-        """Sets the period of the samples where it is another one. Only while disarmed and with learning off."""
+        """Sets the period of the samples, and short replies, where they differ. Only while disarmed and with learning off."""
         period = struct.pack("<I", round(1e6 * period_s))
-        if period != self.configuration[:4]:
-            self.configuration = period + self.configuration[4:]
-            self._ask(b"\x03" + self.configuration, 4)
+        wanted = period + self.configuration[4:5] + b"\0" + self.configuration[6:]
+        if wanted != self.configuration:
+            self._ask(b"\x03" + wanted, 4)
+            self.configuration = wanted
 
     def arm(self, desired, measured):
         """Shows the board where the arm stands, and lets torque through."""
@@ -250,12 +257,21 @@ def drive(board, drives, start, chosen, file):
             file.truncate(0)  # a log from before stays where the board refuses
         log = csv.writer(file)
         log.writerow(["t_s"] + [f"{name}{j}_{unit}" for name, unit in names for j in range(1, joints + 1)] + ["flags"])
-        begin = time.monotonic()
+        begin, left_out_s = time.monotonic(), 0.0
         for tick in range(chosen.ticks):
-            t_s = tick * chosen.period_s
-            time.sleep(max(0.0, begin + t_s - time.monotonic()))
+            path_s = tick * chosen.period_s
+            t_s = path_s + left_out_s
+            late_s = time.monotonic() - begin - t_s
+            if late_s < chosen.period_s:
+                time.sleep(max(0.0, -late_s))
+            else:
+                # Missed periods are left out: the motion goes on from where it is, and samples never come in a burst.
+                t_s, left_out_s = t_s + late_s, left_out_s + late_s
+                board.period = (board.period + int(late_s / chosen.period_s)) % 32
+                if left_out_s > LEFT_OUT * chosen.seconds:
+                    raise RuntimeError(f"link or program are too slow: {left_out_s:.3f} of {t_s:.3f} s were left out")
             measured = drives.read()
-            desired = motion(t_s, start)
+            desired = motion(path_s, start)
             torque = board.sample(desired, measured)
             if torque is None:
                 continue  # the drives go on with their last command
@@ -279,7 +295,9 @@ def main():
     arguments.add_argument("--start", type=angles, help="pose, rad,...")
     arguments.add_argument("--log", default="log.csv")
     chosen = arguments.parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for ending in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(ending, signal.default_int_handler)
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a program that stands still would leave the torque at the drives
     if not 1e-4 <= chosen.period_s <= 0.02:
         arguments.error(f"argument --period-s: {chosen.period_s} is not between 0.0001 and 0.02")
     chosen.ticks = round(chosen.seconds / chosen.period_s)

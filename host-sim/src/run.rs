@@ -231,6 +231,8 @@ fn close_loop<const N: usize>(
         let record = play.tick(plant, Some(board))?;
         log.add(&record, board, &started(&record.desired))?;
         if arguments.excite_on_board && has_ended(board, tick, record.stage)? {
+            // The next host finds a board that follows its samples.
+            board.excitation(ExcitationCommand::Release)?;
             break;
         }
         if tick % 256 == 0 {

@@ -4,6 +4,7 @@
 
 #[rtic::app(device = stm32f4xx_hal::pac, dispatchers = [EXTI1])]
 mod app {
+    use cortex_m::peripheral::syst::SystClkSource;
     use foretorque::arm::ur5::{Exchange, FeedForward, Learner, LearnerConfig, ParameterSet, Ur5};
     use foretorque::feedforward::FeedForwardConfig;
     use foretorque::joint::{JointMeasurement, JointMotion, JointSample};
@@ -31,8 +32,10 @@ mod app {
         learner
             .restart(LearnerConfig::for_arm::<Ur5>(1e-3), &set)
             .expect("a sound configuration");
-        // The internal oscillator runs at 16 MHz; a real board starts its PLL here.
-        cx.core.SYST.set_reload(16_000 - 1);
+        // A millisecond at 168 MHz, as in the emulator; a real board starts its PLL first.
+        cx.core.SYST.set_clock_source(SystClkSource::Core);
+        cx.core.SYST.set_reload(168_000 - 1);
+        cx.core.SYST.clear_current();
         cx.core.SYST.enable_counter();
         cx.core.SYST.enable_interrupt();
         (
