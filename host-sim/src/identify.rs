@@ -335,8 +335,9 @@ fn identify_arm(
     let floors = report.data_check.iter().flat_map(|check| &check.joints);
     let floors: Vec<_> = floors.map(|joint| Some(joint.noise_floor_nm)).collect();
     show!(
-        "torque error joint by joint, {}: {} N·m; description {}; scatter from row to row, of the training logs, {}",
+        "torque error joint by joint, {}, {}: {} N·m; description {}; scatter from row to row, of the training logs, {}",
         report.recommended,
+        report.headline_rows(),
         newton_metres(&report.headline_rmse_nm),
         newton_metres(&report.headline_description_rmse_nm),
         newton_metres(&floors)

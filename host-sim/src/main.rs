@@ -232,7 +232,12 @@ fn run() -> Result<(), Failure> {
         Command::Completions { shell } => {
             let mut text = Vec::new();
             clap_complete::generate(shell, &mut program(), "host-sim", &mut text);
-            show!("{}", String::from_utf8_lossy(&text).trim_end())
+            let text = String::from_utf8_lossy(&text);
+            // clap_complete 4.6 writes the hyphen of the name one way in its states and another way in its labels.
+            show!(
+                "{}",
+                text.replace("host__subcmd__sim", "host__sim").trim_end()
+            )
         }
     }
 }

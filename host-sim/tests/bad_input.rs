@@ -238,7 +238,13 @@ fn results_of_an_earlier_run_do_not_stay() {
     assert_contains(&printed, "bank of arm 'ur5', the robot is 'bigger'");
     let compared = here.succeeds("compare out out --out c.html");
     assert_eq!(compared, "no figure differs\n");
-    here.shows("completions bash", "complete");
+    let completions = here.succeeds("completions bash");
+    let states = completions.split("cmd=\"").skip(1);
+    let states: Vec<&str> = states.filter_map(|rest| rest.split('"').next()).collect();
+    assert!(states.len() > 20);
+    for state in states.into_iter().filter(|state| !state.is_empty()) {
+        assert_contains(&completions, format!("{state})"));
+    }
 }
 
 /// Fields of a process behind its name, which may contain anything (proc(5)): state, parent, …; `None` without such a process.

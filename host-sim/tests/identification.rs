@@ -191,7 +191,7 @@ fn warnings_on_unseen_logs_name_the_log() {
     for words in [
         "warning  copy.csv holds what the validation log clipped.csv holds",
         "warning  same.csv holds what the training log train.csv holds",
-        "torque error joint by joint, wls:",
+        "torque error joint by joint, wls, first log of --validate:",
     ] {
         assert_contains(&stdout, words);
     }

@@ -131,7 +131,7 @@ impl Certificate {
         };
         let missed = missed.join("; ");
         let refusal = refused(format!(
-            "no path keeps all limits; the best one has {missed}{mend}"
+            "no path keeps all limits; the nearest one found has {missed}{mend}"
         ));
         Some((-relative(worst), refusal))
     }

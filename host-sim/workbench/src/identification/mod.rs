@@ -82,7 +82,9 @@ fn unseen(names: &[String]) -> String {
     let rest: Vec<&str> = joints.filter(|joint| is_unseen(joint)).collect();
     if !rest.is_empty() {
         let joints = rest.join(", ");
-        return format!("joints at rest: {joints}: add a --log in which every joint moves");
+        return format!(
+            "joints at rest: {joints}: add a --log in which every joint moves, for seconds"
+        );
     }
     // Friction beyond viscous and Coulomb: a letter more, or another one, before the joint.
     let extra = |name: &String| {

@@ -35,7 +35,10 @@ pub fn page(report: &Report, trace: &[(f64, PerJoint<f64>, PerJoint<f64>)]) -> P
         page = page
             .card(
                 newton_metres(&report.headline_rmse_nm),
-                "RMS torque error joint by joint, unseen rows",
+                format!(
+                    "RMS torque error joint by joint, {}",
+                    report.headline_rows()
+                ),
             )
             .card(
                 newton_metres(&report.headline_description_rmse_nm),
@@ -126,7 +129,7 @@ fn file_section(report: &Report, file: &str) -> Section {
     let floor = report.data_check.iter().map(|check| {
         let name = ["scatter from row to row, training logs", "", ""].map(str::to_owned);
         let floors = check.joints.iter().map(|joint| joint.noise_floor_nm);
-        let floors = floors.map(|floor| format!("{floor:.3}"));
+        let floors = floors.map(|floor| figure(floor, 3));
         let cells = name.into_iter().chain(floors);
         cells.chain([String::new()]).collect()
     });

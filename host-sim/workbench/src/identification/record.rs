@@ -228,6 +228,17 @@ pub struct Report {
     pub data_check: Option<Judgement>,
 }
 
+impl Report {
+    /// Rows of the headline.
+    pub fn headline_rows(&self) -> &'static str {
+        let mut methods = self.methods.values();
+        match methods.any(|method| !method.validation.is_empty()) {
+            true => "first log of --validate",
+            false => "rows held out of the training logs",
+        }
+    }
+}
+
 /// Names of the rivals in the table of methods.
 pub(super) const RIVALS: [&str; 2] = ["description", "zero"];
 

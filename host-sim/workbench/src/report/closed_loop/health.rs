@@ -6,7 +6,7 @@ use crate::robot::Robot;
 use crate::telemetry::numbers;
 use foretorque::learning::Reason;
 use foretorque::limits::Flags;
-use foretorque_link::safety::{SafetyState, SafetyStatus};
+use foretorque_link::safety::{SafetyReason, SafetyState, SafetyStatus};
 use foretorque_link::wire::{Field, TelemetryFrame};
 use serde::Serialize;
 
@@ -59,6 +59,8 @@ pub(super) struct Health<const N: usize> {
     ranges: [(f64, f64); N],
     ticks: usize,
     unarmed: usize,
+    /// Newest reason for that.
+    reason: SafetyReason,
     latched: Option<String>,
     clipped: usize,
     saturated: [usize; N],
@@ -79,6 +81,7 @@ impl<const N: usize> Health<N> {
             ranges: std::array::from_fn(|j| limits(j).map_or((0.0, 0.0), |l| l.position)),
             ticks: 0,
             unarmed: 0,
+            reason: SafetyReason::None,
             latched: None,
             clipped: 0,
             saturated: [0; N],
@@ -113,6 +116,9 @@ impl<const N: usize> Health<N> {
         (*least, *most) = (least.inf(&is), most.sup(&is));
         if let Some(safety) = safety {
             self.unarmed += usize::from(safety.state != SafetyState::Armed);
+            if safety.reason != SafetyReason::None {
+                self.reason = safety.reason;
+            }
             if safety.state == SafetyState::Fault && self.latched.is_none() {
                 let reason = safety.reason;
                 let place = self.beyond(&is);
@@ -176,20 +182,27 @@ impl<const N: usize> Health<N> {
             (0, None) => "no decision".to_owned(),
             (code, None) => format!("decision {code}"),
         };
-        let known = &mut self.learnt.decisions;
-        let place = known.iter().position(|known| known.decision == name);
-        let place = place.unwrap_or(known.len());
-        if place == known.len() {
-            known.push(DecisionRecord {
-                decision: name,
-                times: 0,
-                first_s: t_s,
-                newest_s: 0.0,
-            });
-        }
-        known[place].newest_s += every_s;
-        known[place].times += u32::from(self.newest != (count, code) && count > 0);
+        let times = u32::from(self.newest != (count, code) && count > 0);
+        let unseen = count.saturating_sub(self.newest.0 + 1);
         self.newest = (count, code);
+        let (decisions, unseen_s) = ("decision between two records".to_owned(), 0.0);
+        for (name, times, newest_s) in [(decisions, unseen, unseen_s), (name, times, every_s)] {
+            let known = &mut self.learnt.decisions;
+            let place = known.iter().position(|known| known.decision == name);
+            let place = place.unwrap_or(known.len());
+            if place == known.len() && times as f64 + newest_s > 0.0 {
+                known.push(DecisionRecord {
+                    decision: name,
+                    times: 0,
+                    first_s: t_s,
+                    newest_s: 0.0,
+                });
+            }
+            if let Some(known) = known.get_mut(place) {
+                known.newest_s += newest_s;
+                known.times += times;
+            }
+        }
     }
 
     /// Learning up to the end of the run.
@@ -214,7 +227,11 @@ impl<const N: usize> Health<N> {
         if let Some(latched) = &self.latched {
             troubles.push(format!("board {latched}, without torque for {unarmed}"));
         } else if long(self.unarmed) {
-            troubles.push(format!("board not armed for {unarmed}"));
+            let reason = match self.reason {
+                SafetyReason::None => String::new(),
+                reason => format!(" ({reason})"),
+            };
+            troubles.push(format!("board not armed for {unarmed}{reason}"));
         }
         for j in (0..N).filter(|&j| long(self.saturated[j])) {
             let ticks = percent(self.saturated[j]);
@@ -259,7 +276,8 @@ impl LearntRecord {
         let trust = self.trust.map_or(String::new(), |[least, last]| {
             format!("; trust {last:.2}, lowest {least:.2}")
         });
-        format!("learning: {adopted}; {}{trust}", decisions.join("; "))
+        let parts: Vec<String> = std::iter::once(adopted).chain(decisions).collect();
+        format!("learning: {}{trust}", parts.join("; "))
     }
 }
 
@@ -330,10 +348,11 @@ mod tests {
     fn decisions_are_counted_and_timed() {
         let robot = Robot::load("ur5").expect("built in");
         let mut health = Health::<6>::new(&robot);
-        for (count, code) in [(0, 0), (0, 0), (1, 25), (1, 25), (2, 24), (2, 24), (2, 24)] {
+        assert_eq!(health.learnt().line(), "learning: nothing adopted");
+        for (count, code) in [(0, 0), (0, 0), (1, 25), (1, 25), (4, 24), (4, 24), (4, 24)] {
             health.decision(count, code, f64::from(count), 0.5);
         }
-        let line = "learning: nothing adopted; no decision for 1.0 s; following begins at 1.0 s; torques reversed at 2.0 s";
+        let line = "learning: nothing adopted; no decision for 1.0 s; following begins at 1.0 s; 2 x decision between two records, first at 4.0 s; torques reversed at 4.0 s";
         assert_eq!(health.learnt().line(), line);
     }
 }
