@@ -4,7 +4,7 @@ use super::bus::{Attended, in_loop, wired};
 use super::disturbances::DisturbanceArguments;
 use super::motion_log::MotionLog;
 use super::terminal::{Bar, show};
-use super::{Failure, bail, bank, duration, not_over, unsupported, unusable, within};
+use super::{Failure, bail, bank, duration, not_foreign, not_over, unsupported, unusable, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::joint::JointVector;
@@ -99,8 +99,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut read = Robot::files(Path::new(&profile.robot));
     read.extend([arguments.profile.clone(), (&arguments.trajectory).into()]);
     read.extend(options.into_iter().flatten().cloned());
-    let results = ["log.csv", "log.mcap", "drive.json", "bank.bin"];
+    let results = ["log.csv", "log.mcap", "bank.bin", "drive.json"];
     not_over(read, within(&arguments.out, &results))?;
+    not_foreign(&arguments.out, &results)?;
     on_arm!(robot, A, N, P => arguments.on::<A, N, P>(&profile, robot))
 }
 
@@ -411,7 +412,6 @@ impl<'a, A: Arm<N, P> + Send, const N: usize, const P: usize> Drive<'a, A, N, P>
 
     fn play(&self, network: Box<dyn Network>, alone_mrad: Option<f64>) -> Result<(), Failure> {
         let out = &self.arguments.out;
-        remove_stale(out, &["drive.json"])?;
         let mut log = MotionLog::<N>::create(&out.join("log.csv"), true, None, true)?;
         let played = self.logged(network, self.arguments.alone, Some(&mut log))?;
         log.finish()?;

@@ -1,7 +1,7 @@
 use super::arm::RobotOptions;
 use super::logs::{LogOptions, check_distinct, show_check};
 use super::terminal::{Lines, show};
-use super::{Failure, bail, excite, not_negative, not_over, positive, sound, within};
+use super::{Failure, bail, excite, not_foreign, not_negative, not_over, positive, sound, within};
 use clap::Args;
 use foretorque_link::bank::{BankError, ParameterBank};
 use foretorque_workbench::arms;
@@ -122,14 +122,7 @@ impl Arguments {
         let Some(out) = self.out.as_ref().filter(|_| !self.data_check) else {
             return Ok(());
         };
-        if !out.join("report.json").exists()
-            && let Some(file) = within(out, &RESULTS).find(|file| file.exists())
-        {
-            bail!(
-                "--out: {} is there without the report.json of an earlier run: choose another directory",
-                file.display()
-            );
-        }
+        not_foreign(out, &RESULTS)?;
         let logs = [&self.logs, &self.validate, &self.test];
         let mut read = self.robot.files();
         read.extend(self.truth.iter().map(Path::new).flat_map(Robot::files));
@@ -281,7 +274,7 @@ fn identify_arm(
     let refused = report.findings.iter().find(|finding| finding.refuses);
     let refused = refused.filter(|_| !arguments.force);
     let bank = bank.filter(|_| refused.is_none());
-    let [_, _, made @ ..] = RESULTS;
+    let [_, made @ .., _] = RESULTS;
     let stays = within(out, &made).any(|file| file.exists());
     let described = outcome.robot.as_ref();
     let toml = described.map(Robot::to_toml).transpose()?;
@@ -375,11 +368,11 @@ fn identify_arm(
 
 /// Files of this command that an earlier run may have left.
 const RESULTS: [&str; 5] = [
-    "report.json",
     "report.html",
     "parameters.bank",
     "robot.toml",
     "robot.urdf",
+    "report.json",
 ];
 
 /// Values joint by joint, N·m, separated by spaces.

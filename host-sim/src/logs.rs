@@ -3,7 +3,7 @@
 use super::arm::RobotOptions;
 use super::boards::{BoardChoice, on_arm};
 use super::terminal::{Bar, SignalGuard, show};
-use super::{Failure, bail, bank, duration, not_over, positive, sound, within};
+use super::{Failure, bail, bank, duration, not_foreign, not_over, positive, sound, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::learning::{ParameterSet, StartDeviations};
@@ -189,7 +189,9 @@ impl Replay {
         let mut read = self.robot.files();
         read.extend(self.logs.iter().chain(&self.bank).cloned());
         read.extend(self.columns_of_log.file());
-        not_over(read, within(&self.out, &["report.json", "report.html"]))?;
+        let results = ["report.html", "report.json"];
+        not_over(read, within(&self.out, &results))?;
+        not_foreign(&self.out, &results)?;
         if !self.force {
             let logs: Vec<&Path> = self.logs.iter().map(PathBuf::as_path).collect();
             let prepare = PrepareConfig::for_logs(&logs, &robot)?;

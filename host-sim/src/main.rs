@@ -131,6 +131,21 @@ fn not_over(
     Ok(())
 }
 
+/// Errors: a result in the directory `out` in the place of which there is a file that no earlier run wrote: the last of
+/// `results`, its figures, is missing.
+fn not_foreign(out: &Path, results: &[&str]) -> Result<(), Failure> {
+    let figures = results.last().copied().unwrap_or_default();
+    if !out.join(figures).exists()
+        && let Some(file) = within(out, results).find(|file| file.exists())
+    {
+        bail!(
+            "--out: {} is there without the {figures} of an earlier run: choose another directory",
+            file.display()
+        );
+    }
+    Ok(())
+}
+
 fn within<'n>(directory: &Path, names: &'n [&str]) -> impl Iterator<Item = PathBuf> + 'n {
     let directory = directory.to_owned();
     names.iter().map(move |name| directory.join(name))

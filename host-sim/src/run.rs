@@ -3,7 +3,7 @@ use super::boards::{BoardChoice, on_arm};
 use super::motion_log::MotionLog;
 use super::simulate::{MotionArguments, PERIOD_S, Scene, Verdict};
 use super::terminal::{self, Bar, show};
-use super::{Failure, bail, bank, fitting, not_over, within};
+use super::{Failure, bail, bank, fitting, not_foreign, not_over, within};
 use clap::Args;
 use foretorque::arm::Arm;
 use foretorque::feedforward::evaluate;
@@ -74,11 +74,11 @@ pub(super) struct Arguments {
 const RESULTS: [&str; 7] = [
     "log.csv",
     "log.mcap",
-    "report.json",
     "report.html",
     "bank.bin",
     "telemetry.csv",
     "telemetry.mcap",
+    "report.json",
 ];
 
 fn brake_range() -> clap::builder::RangedI64ValueParser<u16> {
@@ -100,6 +100,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     read.extend(arguments.motion.files().chain(options.cloned()));
     let out = within(&arguments.out, &RESULTS).chain(arguments.log.clone());
     not_over(read, out)?;
+    not_foreign(&arguments.out, &RESULTS)?;
     if arguments.log.is_some() && arguments.board != BoardChoice::QemuUsart {
         bail!("--log: board {} has none, only qemu-usart", arguments.board);
     }

@@ -233,6 +233,9 @@ fn results_of_an_earlier_run_do_not_stay() {
     let line = "identify --robot ur5 --log log.csv --methods wls --out other";
     here.refused(line, "other/robot.urdf is there without the report.json");
     assert_eq!(here.text("other/robot.urdf"), "no result");
+    here.write("other/log.csv", "a log of another robot");
+    let run = "run --robot ur5 --trajectory validation --duration-s 0.1 --out other";
+    here.refused(run, "other/log.csv is there without the report.json");
     let torque = "torque --robot ur5 --name bigger --trajectory validation --out t.csv";
     let printed = here.succeeds(format!("{torque} --bank out/parameters.bank"));
     assert_contains(&printed, "bank of arm 'ur5', the robot is 'bigger'");
