@@ -6,6 +6,7 @@
 
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{PARAMETERS, Ur5};
+use foretorque_flash::SimulatedFlash;
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::store::{SLOT_BYTES, Store, StoreError, saves, slots};
 use foretorque_link::wire::ResetReason;
@@ -13,7 +14,6 @@ use foretorque_studies::faults::machine::{Crash, Trial};
 use foretorque_studies::faults::store::{SECTOR, SMALL_SECTOR, set};
 use foretorque_studies::faults::{Lengths, scenarios};
 use foretorque_workbench::board::Client;
-use foretorque_workbench::board::flash::SimulatedFlash;
 use foretorque_workbench::board::qemu::{Emulator, Image, QemuOptions};
 use foretorque_workbench::parallel::{cores, in_parallel};
 use std::path::PathBuf;

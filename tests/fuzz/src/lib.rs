@@ -11,7 +11,7 @@ pub use drives::drives;
 pub use seeds::{plant, seeds};
 
 use crc::{CRC_32_ISO_HDLC, Crc};
-use flash::TinyFlash;
+use flash::flash;
 use foretorque::arm::Arm;
 use foretorque::arm::panda::Panda;
 use foretorque::arm::ur5::Ur5;
@@ -318,7 +318,7 @@ pub fn session(input: &[u8]) {
 
 /// The store over flash with any content: what is loaded is whole, and a save into it is either refused or kept.
 pub fn store(input: &[u8]) {
-    let mut store = Store::new(TinyFlash::with(input));
+    let mut store = Store::new(flash(input));
     let mut buffer = [0; ParameterBank::MAX_BYTES];
     let before = store.load(Ur5::HASH, &mut buffer).map(<[u8]>::to_vec);
     let mut session = Session::<Ur5, 6, 40>::new(BoardDescription::plain(NoClock))

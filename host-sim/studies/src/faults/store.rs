@@ -4,9 +4,9 @@ use super::Campaign;
 use crate::StudyError;
 use foretorque::arm::Arm;
 use foretorque::arm::ur5::{JOINTS, PARAMETERS, Ur5};
+use foretorque_flash::{Protection, SimulatedFlash, Torn};
 use foretorque_link::bank::ParameterBank;
 use foretorque_link::store::{HEADER_BYTES, SLOT_BYTES, Store, StoreError, slots};
-use foretorque_workbench::board::flash::{Protection, SimulatedFlash, Torn};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -5,7 +5,6 @@
 
 mod child;
 mod client;
-pub mod flash;
 pub mod log;
 pub mod qemu;
 pub mod serial;

@@ -4,60 +4,16 @@ use super::*;
 use crate::bank::BankError;
 use crate::store::{Store, StoreError, StoreHealth};
 use crate::write_key::WriteKey;
-use core::convert::Infallible;
-use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use foretorque_flash::{Protection, SimulatedFlash};
 
-/// Flash that works, or is worn out without reporting it; the host has the simulated one of the campaigns.
-pub(super) struct Flash(Vec<u8>, bool);
-
-impl Flash {
-    fn blank() -> Self {
-        Self(vec![0xFF; 2 * Self::ERASE_SIZE], false)
-    }
-}
-
-impl ErrorType for Flash {
-    type Error = Infallible;
-}
-
-impl ReadNorFlash for Flash {
-    const READ_SIZE: usize = 1;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Infallible> {
-        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
-        Ok(())
-    }
-
-    fn capacity(&self) -> usize {
-        self.0.len()
-    }
-}
-
-impl NorFlash for Flash {
-    const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = 16 * 1024;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), Infallible> {
-        if !self.1 {
-            self.0[from as usize..to as usize].fill(0xFF);
-        }
-        Ok(())
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Infallible> {
-        if !self.1 {
-            self.0[offset as usize..][..bytes.len()].copy_from_slice(bytes);
-        }
-        Ok(())
-    }
-}
+pub(super) type Flash = SimulatedFlash<{ 16 * 1024 }>;
 
 pub(super) fn storing(write_key: Option<WriteKey>) -> Board {
     let mut board = Board::with(|board| {
         board.capabilities = Capabilities::LEARNING | Capabilities::STORE;
         board.write_key = write_key;
     });
-    board.housekeeping.start(Some(Store::new(Flash::blank())));
+    board.housekeeping.start(Some(Store::new(Flash::new(1))));
     board
 }
 
@@ -76,10 +32,10 @@ fn a_set_is_saved_read_and_restored_on_request() {
 
 #[test]
 fn the_newest_set_stays_in_the_flash_until_the_next_one_is_kept() {
-    let mut store = Store::new(Flash::blank());
+    let mut store = Store::new(Flash::new(1));
     for k in 1..=20 {
         assert_eq!(store.save(7, &[k; 100]), Ok(k.into()));
-        let held = |set: [u8; 100]| store.flash().0.windows(100).any(|bytes| bytes == set);
+        let held = |set: [u8; 100]| store.flash().bytes().windows(100).any(|bytes| bytes == set);
         assert!(k == 1 || held([k - 1; 100]), "set {k}");
         assert_eq!(store.load(7, &mut [0; 100]), Ok(&[k; 100][..]));
     }
@@ -87,20 +43,20 @@ fn the_newest_set_stays_in_the_flash_until_the_next_one_is_kept() {
 
 #[test]
 fn a_damaged_set_gives_way_to_the_one_before() {
-    let mut store = Store::new(Flash::blank());
+    let mut store = Store::new(Flash::new(1));
     store.save(7, &[1; 100]).unwrap();
     store.save(7, &[2; 100]).unwrap();
     let [first, second] = [1, 2].map(|k| {
-        let mut places = store.flash().0.windows(100);
+        let mut places = store.flash().bytes().windows(100);
         places.position(|bytes| bytes == [k; 100]).unwrap()
     });
     for place in second..second + 100 {
-        store.flash_mut().0[place] ^= 4;
+        store.flash_mut().rot(place, 2);
         assert_eq!(store.load(7, &mut [0; 100]), Ok(&[1; 100][..]));
-        store.flash_mut().0[place] ^= 4;
+        store.flash_mut().rot(place, 2);
     }
-    store.flash_mut().0[second] ^= 4;
-    store.flash_mut().0[first] ^= 4;
+    store.flash_mut().rot(second, 2);
+    store.flash_mut().rot(first, 2);
     assert_eq!(store.load(7, &mut [0; 100]), Err(StoreError::Damaged));
 }
 
@@ -127,18 +83,20 @@ fn a_worn_flash_is_reported_until_a_save_succeeds() {
     assert_eq!(loaded, Err(NackReason::Store(StoreError::Empty)));
     assert_eq!(board.statistics().store, StoreHealth::Empty);
     let not_kept = nack(NackReason::Store(StoreError::NotKept));
-    for (is_worn, message, reply, health) in [
-        (false, HostMessage::Save, ACK, StoreHealth::Sound),
-        (true, HostMessage::Save, not_kept, StoreHealth::Failing),
+    // A worn flash takes every order, and keeps nothing.
+    use Protection::{None as Works, Silent as Worn};
+    for (flash, message, reply, health) in [
+        (Works, HostMessage::Save, ACK, StoreHealth::Sound),
+        (Worn, HostMessage::Save, not_kept, StoreHealth::Failing),
         // The earlier set can still be read, and the board runs; the flash is still worn.
-        (true, HostMessage::Restore, ACK, StoreHealth::Failing),
-        (false, HostMessage::Save, ACK, StoreHealth::Sound),
+        (Worn, HostMessage::Restore, ACK, StoreHealth::Failing),
+        (Works, HostMessage::Save, ACK, StoreHealth::Sound),
     ] {
         let store = board.housekeeping.store_mut().unwrap();
-        store.flash_mut().1 = is_worn;
+        store.flash_mut().protect(flash);
         assert_eq!(board.request(message), reply);
         assert_eq!(board.statistics().store, health);
-        if is_worn {
+        if flash == Worn {
             board.arm();
             board.acknowledged(HostMessage::Stop);
             board.acknowledged(HostMessage::ClearFault);
@@ -200,7 +158,7 @@ fn m4_saves_are_a_minute_apart_and_restarts_do_not_shorten_it() {
             board.capabilities = Capabilities::STORE | Capabilities::TIMER;
             board.reset_reason = reset_reason;
         });
-        board.housekeeping.start(Some(Store::new(Flash::blank())));
+        board.housekeeping.start(Some(Store::new(Flash::new(1))));
         board
     };
     let wait = |seconds| nack(NackReason::Wait { seconds });

@@ -1,4 +1,4 @@
-//! Flash that is not there: two sectors that wear out, forget, protect themselves and lose power at any step.
+//! Flash of the tests, which is not there: two sectors that wear out, forget, protect themselves and lose power at any step.
 //!
 //! A step is one word programmed or one sector erased. Programming clears bits and sets none, as it does in silicon.
 
@@ -97,6 +97,14 @@ impl<const SECTOR: usize> SimulatedFlash<SECTOR> {
             stuck: BTreeMap::new(),
             unstable: BTreeMap::new(),
             random: ChaCha8Rng::seed_from_u64(seed),
+        }
+    }
+
+    /// A flash with this content.
+    pub fn holding(bytes: [[u8; SECTOR]; SECTORS]) -> Self {
+        Self {
+            bytes: bytes.concat(),
+            ..Self::new(0)
         }
     }
 
