@@ -228,7 +228,7 @@ static void board_open(struct board *board, const char *port) {
     if (write(board->port, &end, 1) != 1) fail("the port is gone");
     post(board, &hello, 1);
     const uint8_t *content = answer(board, HELLO, OPENING_S), *last = content + board->length;
-    /* Behind two names of up to 255 bytes each. */
+    /* It has two names with their lengths before them; the configuration is behind both. */
     if (content + 8 + content[4] > last || content + 23 + content[4] + content[7 + content[4]] > last)
         fail("the hello of the board is too short");
     size_t length = content[4] < sizeof board->arm - 1 ? content[4] : sizeof board->arm - 1;

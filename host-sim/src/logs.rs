@@ -33,7 +33,7 @@ pub(super) struct LogOptions {
     /// Names of the columns of logs without a header row, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "LIST")]
     names: Vec<String>,
-    /// Units of all logs where they are not SI, such as q=deg,t=ms,tau=mNm: for all of them alike. Quantities
+    /// Units of the logs where they are not SI, such as q=deg,t=ms,tau=mNm; the same for all of them. Quantities
     /// that are not named keep the units of their source or file
     #[arg(long)]
     units: Option<Units>,

@@ -329,6 +329,16 @@ noise | are noise: they follow neither the motion nor gravity";
         let check = format!("identify --robot ur5 {logs} --data-check");
         here.refused(&check, "ms behind the positions");
     }
+    // A log of --test changes no fit, however far apart its rows are.
+    let header = good.lines().take(1);
+    let eighth: Vec<&str> = header.chain(good.lines().skip(1).step_by(8)).collect();
+    here.write("test.csv", eighth.join("\n") + "\n");
+    let bank = |tested: &str| {
+        let fit = "identify --robot ur5 --log good.csv --methods wls --force --out fit";
+        here.succeeds(format!("{fit} {tested}"));
+        std::fs::read(here.join("fit/parameters.bank")).expect("written")
+    };
+    assert!(bank("") == bank("--test test.csv"));
     // The filters of a data check are those of the training logs.
     let alone = "identify --robot ur5 --log good.csv --validate bad.csv --data-check";
     here.write("bad.csv", planted(&good, mistake("milliseconds")));

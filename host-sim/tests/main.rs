@@ -3,6 +3,7 @@
 mod bad_input;
 mod cli;
 mod cli_bus;
+mod clients;
 mod excitation;
 mod identification;
 mod logs;

@@ -1,4 +1,4 @@
-//! Flash of the tests, which is not there: two sectors that wear out, forget, protect themselves and lose power at any step.
+//! Simulated flash of the tests: two sectors that wear out, forget, protect themselves and lose power at any step.
 //!
 //! A step is one word programmed or one sector erased. Programming clears bits and sets none, as it does in silicon.
 

@@ -244,8 +244,7 @@ impl DriveProfile {
         }
     }
 
-    /// This drive answers a frame that it has accepted with its state: a moteus answers a query, an ODrive that is polled a
-    /// remote frame.
+    /// This drive answers a frame to it with its state. A moteus answers queries alone, a polled ODrive remote frames.
     pub fn answers(&self, frame: &Frame) -> bool {
         match &self.protocol {
             Protocol::Moteus(_) => moteus::queries(frame),

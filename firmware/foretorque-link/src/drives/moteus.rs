@@ -333,8 +333,8 @@ pub(super) fn queries(frame: &Frame) -> bool {
     each(frame.bytes(), READ, |_, _, _| any = true) && any
 }
 
-/// Calls `register` with every value of `kind` in a frame and the place behind it, with 0 for a query; `false` where the frame ends in the middle of a subframe or
-/// has one of an unknown kind.
+/// Calls `register` with every value of `kind` in a frame and the place behind it, for a query once with 0; `false` where the
+/// frame ends in the middle of a subframe or has one of an unknown kind.
 fn each(all: &[u8], kind: u8, mut register: impl FnMut(u32, Value, usize)) -> bool {
     let mut bytes = all;
     let mut walk = || {

@@ -102,7 +102,7 @@ impl Codec<'_> {
             }
             Order::ReadScale(_) => return false,
         }
-        // It answers none of the two, and is not to be taken for silent.
+        // It answers neither of these two, and must not count as silent.
         if self.scales.polled && matches!(order, Order::Enable | Order::Disable) {
             self.poll(frames);
         }

@@ -86,10 +86,8 @@ pub(super) fn clock(rows: &[LogRow]) -> (Clock, f64) {
         return arrival;
     }
     // Rows that were polled: some repeat a state and are left out, as many have passed one over.
-    match late > 0 && uneven && places.are_even() == Some(true) {
-        true => (Clock::Stamps, period_s),
-        false => (Clock::Even, period_s),
-    }
+    let polled = late > 0 && uneven && places.are_even() == Some(true);
+    (if polled { Clock::Stamps } else { Clock::Even }, period_s)
 }
 
 /// The stamps leave a count of the rows by more than a delay can.
@@ -162,7 +160,7 @@ impl Places {
     }
 
     /// The rows are even and none is lost; `None` where the motion does not decide: an arm begins to move, or hardly moves,
-    /// or few rows speak for either.
+    /// or too few rows show it.
     fn are_even(&self) -> Option<bool> {
         let [by_losses, by_count, ways] = self.differing;
         let decides = self.count >= FEWEST && by_losses.min(by_count) < MOVES * ways;

@@ -202,14 +202,12 @@ pub fn percent(ratio: f64) -> String {
 
 /// A figure with so many decimals, more where two digits need them.
 pub fn figure(value: f64, decimals: usize) -> String {
-    let needed = 1.0 - value.abs().log10().floor();
-    // Zero needs infinitely many, and a billionth counts as zero.
-    let needed = if needed.is_finite() {
-        needed.clamp(0.0, 9.0)
-    } else {
-        0.0
+    // Less than a billionth is zero. A number below zero becomes zero as a count.
+    let needed = match value.abs() {
+        size if size >= 1e-9 => (1.0 - size.log10().floor()) as usize,
+        _ => 0,
     };
-    let decimals = decimals.max(needed as usize);
+    let decimals = decimals.max(needed);
     format!("{value:.decimals$}")
 }
 
@@ -257,7 +255,7 @@ mod tests {
             (12.3456, 3, "12.346"),
             (0.03, 0, "0.030"),
             (0.0, 2, "0.00"),
-            (1e-20, 2, "0.000000000"),
+            (1e-20, 2, "0.00"),
         ] {
             assert_eq!(figure(value, decimals), wanted);
         }

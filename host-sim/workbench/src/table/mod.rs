@@ -309,8 +309,10 @@ SOUND | : no rows
         };
         let [comment, rows] = ["# t_s;a;b\n", "0;1;2\n1;3;4\n"].map(member);
         fs::write(&path, [comment, rows].concat()).expect("writes");
-        let table = Rows::open(&path).expect("opens");
+        let mut table = Rows::open(&path).expect("opens");
         assert_eq!(table.header, ["t_s", "a", "b"]);
+        assert!(table.advance().expect("a row"));
+        assert_eq!(table.number(2).ok(), Some(2.0));
     }
 
     #[test]

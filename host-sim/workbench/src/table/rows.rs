@@ -91,7 +91,8 @@ impl<R: Read> Read for BoundedLines<R> {
 /// Bytes in which the header of a table is looked for.
 const BEGINNING: u64 = 1 << 18;
 
-/// Lines before a table that begin with `#`, name the separator (`sep=;`) or are empty, the line behind these, and the bytes before that line.
+/// Lines before a table that begin with `#`, name the separator (`sep=;`) or are empty, the line behind these, and the bytes
+/// before that line.
 fn beginning(bytes: &[u8]) -> (Vec<String>, String, usize) {
     let (mut comments, mut length) = (Vec::new(), 0);
     for line in bytes.split_inclusive(|byte| *byte == b'\n') {
@@ -202,9 +203,10 @@ impl Rows {
                 format!("no header row, {found}: name the columns by --names t_s,q1_rad,…");
             return Err(TableError::at(path, header_line, problem));
         }
-        // Columns that are named by their places, as in tables without names.
+        // A header of the places of its columns, as tables without names have it.
         let is_place = |(place, field): (usize, &String)| *field == place.to_string();
-        let places = fields.len() > 2 && fields.iter().enumerate().all(is_place);
+        let places = commented.is_none() && fields.len() > 2;
+        let places = places && fields.iter().enumerate().all(is_place);
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
             .has_headers(!numbers || places)

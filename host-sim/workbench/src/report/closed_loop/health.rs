@@ -59,7 +59,7 @@ pub(super) struct Health<const N: usize> {
     ranges: [(f64, f64); N],
     ticks: usize,
     unarmed: usize,
-    /// Newest reason for that.
+    /// Reason of the last of these.
     reason: SafetyReason,
     latched: Option<String>,
     clipped: usize,
@@ -115,8 +115,8 @@ impl<const N: usize> Health<N> {
         (*low, *high) = (low.inf(&asked), high.sup(&asked));
         (*least, *most) = (least.inf(&is), most.sup(&is));
         if let Some(safety) = safety {
-            self.unarmed += usize::from(safety.state != SafetyState::Armed);
-            if safety.reason != SafetyReason::None {
+            if safety.state != SafetyState::Armed {
+                self.unarmed += 1;
                 self.reason = safety.reason;
             }
             if safety.state == SafetyState::Fault && self.latched.is_none() {
@@ -182,27 +182,32 @@ impl<const N: usize> Health<N> {
             (0, None) => "no decision".to_owned(),
             (code, None) => format!("decision {code}"),
         };
-        let times = u32::from(self.newest != (count, code) && count > 0);
-        let unseen = count.saturating_sub(self.newest.0 + 1);
-        self.newest = (count, code);
-        let (decisions, unseen_s) = ("decision between two records".to_owned(), 0.0);
-        for (name, times, newest_s) in [(decisions, unseen, unseen_s), (name, times, every_s)] {
-            let known = &mut self.learnt.decisions;
-            let place = known.iter().position(|known| known.decision == name);
-            let place = place.unwrap_or(known.len());
-            if place == known.len() && times as f64 + newest_s > 0.0 {
-                known.push(DecisionRecord {
-                    decision: name,
-                    times: 0,
-                    first_s: t_s,
-                    newest_s: 0.0,
-                });
-            }
-            if let Some(known) = known.get_mut(place) {
-                known.newest_s += newest_s;
-                known.times += times;
-            }
+        let skipped = count.saturating_sub(self.newest.0 + 1);
+        if skipped > 0 {
+            self.record("decision between two records".to_owned(), t_s)
+                .times += skipped;
         }
+        let is_new = self.newest != (count, code) && count > 0;
+        self.newest = (count, code);
+        let record = self.record(name, t_s);
+        record.newest_s += every_s;
+        record.times += u32::from(is_new);
+    }
+
+    /// The record of a decision, begun at `t_s`, s, where it is the first one.
+    fn record(&mut self, decision: String, t_s: f64) -> &mut DecisionRecord {
+        let known = &mut self.learnt.decisions;
+        let place = known.iter().position(|known| known.decision == decision);
+        let place = place.unwrap_or(known.len());
+        if place == known.len() {
+            known.push(DecisionRecord {
+                decision,
+                times: 0,
+                first_s: t_s,
+                newest_s: 0.0,
+            });
+        }
+        &mut known[place]
     }
 
     /// Learning up to the end of the run.
@@ -287,7 +292,6 @@ mod tests {
     use crate::dynamics::State;
     use crate::plant::Measurement;
     use foretorque::joint::JointVector;
-    use foretorque_link::safety::SafetyReason;
 
     /// Record of a tick with joint 2 at `q2`, and `tau2` asked of it.
     fn tick(t_s: f64, q2: f64, tau2: f64) -> TickRecord<6> {
@@ -331,6 +335,18 @@ mod tests {
         assert_eq!(run(4, 0.5, 150.0, 0).troubles(), Vec::<String>::new());
         let saturated = "joint 2 at its torque limit for 30 % of the run";
         assert_eq!(run(30, 0.5, 150.0, 0).troubles(), [saturated]);
+        let mut disarmed = Health::<6>::new(&robot);
+        let stopped = SafetyStatus {
+            state: SafetyState::Disarmed,
+            reason: SafetyReason::Stopped,
+        };
+        disarmed.add(&tick(0.0, 0.0, 0.0), Some(stopped), None);
+        let trouble = disarmed.troubles().concat();
+        let reason = SafetyReason::Stopped;
+        assert_eq!(
+            trouble,
+            format!("board not armed for 100 % of the run ({reason})")
+        );
         let latched = run(90, 6.5, 10.0, 80);
         let trouble = &latched.troubles()[0];
         let place = "board latched at 2.00 s (measured position out of range: joint 2 at 6.500";
